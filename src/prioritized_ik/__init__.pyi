@@ -1,0 +1,31 @@
+# model
+from .models import Arm as Arm
+from .models import WindingObject as WindingObject
+from .models import update_kinematics as update_kinematics
+
+# virtual arms
+from .virtual_arms import EndPoint as EndPoint
+from .virtual_arms import VirtualArms as VirtualArms
+
+# problem
+from .problem import Bounds as Bounds
+from .problem import IKProblem as IKProblem
+from .problem import Level as Level
+from .problem import Rows as Rows
+from .limits import contact_rows as contact_rows
+from .limits import joint_range_bounds as joint_range_bounds
+from .limits import step_bounds as step_bounds
+
+# solve
+from .solve.lexicographic import SolveOptions as SolveOptions
+from .solve.lexicographic import solve as solve
+from .solve.backends.registry import installed_solvers as installed_solvers
+
+# winding
+from .winding.settings import WindingSettings as WindingSettings
+from .winding.episode import Episode as Episode
+from .winding.episode import wind as wind
+from .winding.metrics import measure as measure
+
+# errors
+from .errors import PrioritizedIkError as PrioritizedIkError

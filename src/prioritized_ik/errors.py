@@ -1,0 +1,29 @@
+"""What can go wrong, as exceptions. Each message gives the value, what was expected and what to do."""
+
+
+class PrioritizedIkError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class InputError(PrioritizedIkError, ValueError):
+    """A value from the caller is of no use: wrong shape, not finite, out of range, unknown name."""
+
+
+class ModelError(InputError):
+    """The MuJoCo model lacks something that was asked for, or holds it in an unusable form."""
+
+
+class SolverUnavailableError(PrioritizedIkError):
+    """A QP solver is unknown, or known but not installed."""
+
+
+class StepNotFoundError(PrioritizedIkError):
+    """No joint step was accepted. `step` holds the status and the figures reached."""
+
+    def __init__(self, message: str, step: object) -> None:
+        super().__init__(message)
+        self.step = step
+
+
+class EpisodeFileError(PrioritizedIkError):
+    """A saved episode cannot be read or written."""

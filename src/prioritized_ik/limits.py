@@ -1,0 +1,87 @@
+"""Joint range, step and contact limits, as bounds and rows of which dθ = 0 is always a member."""
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.problem import Bounds, Rows
+from prioritized_ik.touch import Touch
+from prioritized_ik.validation import finite_array, non_negative, positive
+
+_SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+OUTSIDE = 1e-4  # [rad] a joint this far outside its range is rounding of accepted steps; further is an error
+
+
+def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Return one name a degree of freedom `(m,)`, that of its joint."""
+    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in model.dof_jntid]
+    return tuple(name or f"joint {i + 1}" for i, name in enumerate(names))
+
+
+def joint_range_bounds(model: mujoco.MjModel, q: ArrayLike) -> Bounds:
+    """Return bounds that keep every limited hinge and slide joint in its range from position `q` `(nq,)`.
+
+    Raises:
+        InputError: a joint is outside its range already.
+    """
+    position = finite_array("q", q, (model.nq,))
+    names = joint_names(model)
+    lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
+    scalar = np.isin(model.jnt_type, _SCALAR_JOINTS)
+    joints = np.flatnonzero(scalar & (model.jnt_limited != 0))
+    dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
+    low, high = model.jnt_range[joints].T
+    outside = np.maximum(low - position[places], position[places] - high)
+    if outside.size and outside.max() > OUTSIDE:
+        worst = int(outside.argmax())
+        raise InputError(
+            f"{names[dofs[worst]]} is at {position[places[worst]]:.6g}, outside its range "
+            f"[{low[worst]:.6g}, {high[worst]:.6g}]; move it inside, or drop the joint limits."
+        )
+    lower[dofs] = np.minimum(low - position[places], 0.0)
+    upper[dofs] = np.maximum(high - position[places], 0.0)
+    return Bounds(lower, upper, names)
+
+
+def step_bounds(model: mujoco.MjModel, max_step: float) -> Bounds:
+    """Return bounds of plus and minus `max_step` [rad] on every joint's step."""
+    limit = np.full(model.nv, positive("max_step", max_step))
+    return Bounds(-limit, limit, joint_names(model))
+
+
+def contact_rows(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    touch: Touch,
+    bodies: list[int],
+    *,
+    min_distance: float = 0.0,
+    gain: float = 1.0,
+    margin: float = 0.05,
+) -> Rows:
+    """Return rows that keep links from coming closer than `min_distance` to the object.
+
+    n·J_c dθ >= -gain max(d - d_min, 0), with n the normal into the link and J_c the Jacobian of the link's nearest
+    point: n·J_c is the gradient of the distance. The right side is never positive, so dθ = 0 always holds.
+
+    Args:
+        model: the MuJoCo model.
+        data: its state, with `mj_kinematics` and `mj_comPos` done.
+        touch: the reading at that state.
+        bodies: the body of each link `(n,)`.
+        min_distance: d_min [m].
+        gain: how much of the remaining gap one step may close, in (0, 1].
+        margin: only links nearer than this get a row [m].
+    """
+    if not 0.0 < gain <= 1.0:
+        raise InputError(f"gain is {gain!r}; expected a number above 0 and up to 1.")
+    non_negative("min_distance", min_distance)
+    near = np.flatnonzero(touch.distance < positive("margin", margin))
+    matrix = np.empty((near.size, model.nv))
+    jacobian = np.empty((3, model.nv))
+    for row, link in zip(matrix, near, strict=True):
+        mujoco.mj_jac(model, data, jacobian, None, touch.point[link], bodies[link])
+        row[:] = -touch.normal[link] @ jacobian
+    upper = gain * np.maximum(touch.distance[near] - min_distance, 0.0)
+    return Rows(matrix, upper, tuple(f"contact of link {link + 1}" for link in near))

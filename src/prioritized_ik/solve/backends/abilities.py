@@ -1,0 +1,103 @@
+"""One table of what each solver can do, and how one accuracy becomes each solver's own options.
+
+The oddities were measured on the recorded winding steps (49 joints, whitened stages; see the README for the figures):
+
+- quadprog and ecos need a positive definite Hessian; daqp takes a semidefinite one, but its automatic proximal mode stops
+  early; highs cycles for seconds on one. They get the proximal point.
+- clarabel, cvxopt, piqp, scs: the weakest directions of a step stay off by up to 1e-1 even at tolerance 1e-10, because the
+  inactive rows' complementarity pushes on them. Two zooms bring them to 1e-8.
+- ecos minimises through an epigraph cone: a cost right to ε leaves x right to about √ε only. Three zooms.
+- highs adds 1e-7 to its Hessian's diagonal: one zoom removes that.
+- proxqp ends with a level-1 cost up to 5e-7 above the best where rows bind: one zoom brings 1e-9.
+- osqp's polishing writes to standard output where no row binds, even when told to be quiet, so it stays off.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+ITERATIONS = 20_000  # of first-order solvers; their defaults end before the accuracy asked for
+
+Options = Mapping[str, float | int | bool | str]
+
+
+@dataclass(frozen=True)
+class Abilities:
+    """One solver of qpsolvers.
+
+    Attributes:
+        package: what to `pip install`.
+        options: accuracy -> keyword options for the solver.
+        semidefinite: solves a stage with variables that have no cost, without help.
+        sparse: takes SciPy sparse matrices (and complains about dense ones).
+        warm_start: uses initial values through qpsolvers.
+        zooms: see `refinement.zoom_in`.
+        on_request: runs only when asked for by name.
+    """
+
+    package: str
+    options: Callable[[float], Options] = field(default=lambda accuracy: {})
+    semidefinite: bool = True
+    sparse: bool = False
+    warm_start: bool = False
+    zooms: tuple[float, ...] = ()
+    on_request: bool = False
+
+
+def _eps(accuracy: float) -> Options:
+    return {"eps_abs": accuracy, "eps_rel": accuracy}
+
+
+TWO_ZOOMS = (1e-3, 1e-5)
+
+ABILITIES: dict[str, Abilities] = {
+    "clarabel": Abilities(
+        "clarabel",
+        lambda a: {"tol_gap_abs": a, "tol_gap_rel": a, "tol_feas": a},
+        sparse=True,
+        zooms=TWO_ZOOMS,
+    ),
+    "cvxopt": Abilities("cvxopt", lambda a: {"abstol": a, "reltol": a, "feastol": a}, warm_start=True, zooms=TWO_ZOOMS),
+    # A hundredth: DAQP is an active-set method, whose tolerances decide on rows and do not cost time.
+    "daqp": Abilities("daqp", lambda a: {"primal_tol": a / 100, "dual_tol": a / 10_000}, semidefinite=False),
+    # Not below 1e-6: ECOS gives up on tighter ones more often than it gains.
+    "ecos": Abilities(
+        "ecos",
+        lambda a: dict.fromkeys(("abstol", "reltol", "feastol"), max(a, 1e-6)),
+        semidefinite=False,
+        sparse=True,
+        zooms=(1e-2, 1e-4, 1e-6),
+    ),
+    "highs": Abilities(
+        "highspy",
+        # Not below 1e-10, which HiGHS refuses. The time limit [s] ends its cycling, which no other option does.
+        lambda a: {
+            "primal_feasibility_tolerance": max(a / 100, 1e-10),
+            "dual_feasibility_tolerance": max(a / 100, 1e-10),
+            "time_limit": 1.0,
+        },
+        semidefinite=False,
+        sparse=True,
+        zooms=(1e-3,),
+    ),
+    "osqp": Abilities(
+        "osqp",
+        lambda a: {**_eps(a / 100), "max_iter": ITERATIONS},
+        sparse=True,
+        warm_start=True,
+    ),
+    "piqp": Abilities("piqp", _eps, zooms=TWO_ZOOMS),
+    "proxqp": Abilities("proxsuite", _eps, warm_start=True, zooms=(1e-3,)),
+    "qpalm": Abilities("qpalm", lambda a: {**_eps(a / 100), "max_iter": ITERATIONS}, sparse=True, warm_start=True),
+    "quadprog": Abilities("quadprog", semidefinite=False),
+    "scs": Abilities("scs", lambda a: {**_eps(a), "max_iters": ITERATIONS}, sparse=True, warm_start=True, zooms=TWO_ZOOMS),
+    "jaxopt_osqp": Abilities("jaxopt", lambda a: {"tol": a}, semidefinite=False, on_request=True),
+    "kvxopt": Abilities("kvxopt", lambda a: {"abstol": a, "reltol": a, "feastol": a}, zooms=TWO_ZOOMS, on_request=True),
+    "pyqpmad": Abilities("pyqpmad", semidefinite=False, on_request=True),
+    "qpax": Abilities("qpax", semidefinite=False, zooms=TWO_ZOOMS, on_request=True),
+    "qtqp": Abilities("qtqp", sparse=True, zooms=TWO_ZOOMS, on_request=True),
+}
+
+
+def abilities_of(name: str) -> Abilities:
+    """Return what solver `name` can do; one that the table lacks counts as careful: dense, positive definite only."""
+    return ABILITIES.get(name, Abilities(name, semidefinite=False, on_request=True))

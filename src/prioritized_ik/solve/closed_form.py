@@ -1,0 +1,188 @@
+"""The paper's closed form (Sec. 3, Eqs. 6-17), one function an equation.
+
+dX_v = J dθ with J `(L, m)` of rank p is solved in two steps: J = J_a J_b with both factors of full rank p; then weighted
+least squares for dX_b = J_b dθ, and the least-norm dθ for that. No product JᵀWJ is formed: weights 200 and 0.01 alone
+would square to a condition number near 2e8.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import scipy.linalg
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.problem import Level
+from prioritized_ik.validation import Array
+
+#: Singular values up to this fraction of the largest count as zero. On the 17-link arm the 34th is 1e-4 to 1e-3 of the
+#: first in bent poses, falls to 0 as the arm straightens, and rounding leaves 1e-16: below 1e-7 a direction's share of the
+#: cost drowns in rounding, and solvers differ about what cannot be told.
+RANK_TOLERANCE = 1e-6
+
+
+class TaskCase(Enum):
+    """The three cases of Fig. 3, told apart by the rank p of J `(L, m)`."""
+
+    REDUNDANT = "p = L: every desired displacement is reached, Eq. (16) applies"
+    OVERCONSTRAINED = "p = m: one joint step is best, Eq. (17) applies"
+    SINGULAR = "p < L and p < m: only Eqs. (12) and (14) together apply"
+
+
+@dataclass(frozen=True)
+class RankDecomposition:
+    """J = J_a J_b (Eq. 6): `j_a` `(L, p)` of full column rank, `j_b` `(p, m)` of full row rank."""
+
+    j_a: Array
+    j_b: Array
+
+    @property
+    def rank(self) -> int:
+        """The rank p."""
+        return self.j_a.shape[1]
+
+
+def rank_decomposition_svd(
+    jacobian: Array, rank_tolerance: float = RANK_TOLERANCE, largest: float | None = None
+) -> RankDecomposition:
+    """Eq. (6) by singular values: J_a = U S, J_b = Vᵀ with orthonormal rows.
+
+    Args:
+        jacobian: J `(L, m)`.
+        rank_tolerance: singular values up to this fraction of the largest are dropped.
+        largest: the singular value to compare with, if not the largest of `jacobian` itself.
+    """
+    u, s, vt = np.linalg.svd(jacobian, full_matrices=False)
+    p = int(np.count_nonzero(s > _tolerance(rank_tolerance) * (s[0] if largest is None else largest))) if s.size else 0
+    return RankDecomposition(u[:, :p] * s[:p], vt[:p])
+
+
+def rank_decomposition_qr(jacobian: Array, rank_tolerance: float = RANK_TOLERANCE) -> RankDecomposition:
+    """Eq. (6) by QR with column pivoting: J P = Q R, J_a = Q, J_b = R Pᵀ.
+
+    The answer of Eqs. 12 and 14 is that of `rank_decomposition_svd` as long as what is dropped is rounding: the two drop
+    different directions where it is not.
+    """
+    q, r, pivots = scipy.linalg.qr(jacobian, mode="economic", pivoting=True)
+    diagonal = np.abs(np.diag(r))
+    p = int(np.count_nonzero(diagonal > _tolerance(rank_tolerance) * diagonal[0])) if diagonal.size else 0
+    j_b = np.empty((p, jacobian.shape[1]))
+    j_b[:, pivots] = r[:p]
+    return RankDecomposition(q[:, :p], j_b)
+
+
+def task_case(jacobian: Array, rank_tolerance: float = RANK_TOLERANCE) -> TaskCase:
+    """Return which case of Fig. 3 the stacked Jacobian `(L, m)` is."""
+    rank = rank_decomposition_svd(jacobian, rank_tolerance).rank
+    if rank == jacobian.shape[0]:
+        return TaskCase.REDUNDANT
+    return TaskCase.OVERCONSTRAINED if rank == jacobian.shape[1] else TaskCase.SINGULAR
+
+
+def weighted_cost(j_a: Array, weights: Array, dx_desired: Array, dx_b: Array) -> float:
+    """Eq. (10): Q = (dX_v* - J_a dX_b)ᵀ W (dX_v* - J_a dX_b)."""
+    residual = dx_desired - j_a @ dx_b
+    return float(residual @ (weights * residual))
+
+
+def weighted_optimum(j_a: Array, weights: Array, dx_desired: Array) -> Array:
+    """Eq. (12): dX_b = (J_aᵀWJ_a)⁻¹ J_aᵀW dX_v* `(p,)`, by a QR of W^½ J_a.
+
+    Args:
+        j_a: J_a `(L, p)`.
+        weights: diagonal of W `(L,)`.
+        dx_desired: dX_v* `(L,)` [m].
+    """
+    root = np.sqrt(weights)
+    q, r = np.linalg.qr(root[:, None] * j_a)
+    return scipy.linalg.solve_triangular(r, q.T @ (root * dx_desired))
+
+
+def general_solution(j_b: Array, dx_b: Array, reference: Array) -> Array:
+    """Eq. (13): dθ = J_b⁺ dX_b + (I - J_b⁺J_b) r `(m,)`: of all dθ with J_b dθ = dX_b, the nearest to r."""
+    q, r = np.linalg.qr(j_b.T)  # J_b⁺ = Q R⁻ᵀ
+    return q @ scipy.linalg.solve_triangular(r, dx_b, trans="T") + reference - q @ (q.T @ reference)
+
+
+def minimum_norm_solution(j_b: Array, dx_b: Array) -> Array:
+    """Eq. (14): dθ = J_b⁺ dX_b `(m,)`, Eq. (13) with r = 0."""
+    return general_solution(j_b, dx_b, np.zeros(j_b.shape[1]))
+
+
+def resulting_displacement(j_a: Array, weights: Array, dx_desired: Array) -> Array:
+    """Eq. (15): dX_v = J_a (J_aᵀWJ_a)⁻¹ J_aᵀW dX_v* `(L,)`, what the end points really do."""
+    return j_a @ weighted_optimum(j_a, weights, dx_desired)
+
+
+def redundant_solution(jacobian: Array, dx_desired: Array, rank_tolerance: float = RANK_TOLERANCE) -> Array:
+    """Eq. (16): dθ = J⁺ dX_v* `(m,)`, for J of full row rank (Fig. 3a).
+
+    Raises:
+        InputError: J is of another case; Eqs. (12) and (14) apply to all.
+    """
+    _require(TaskCase.REDUNDANT, jacobian, rank_tolerance, "Eq. (16)")
+    return minimum_norm_solution(jacobian, dx_desired)
+
+
+def overconstrained_solution(
+    jacobian: Array, weights: Array, dx_desired: Array, rank_tolerance: float = RANK_TOLERANCE
+) -> Array:
+    """Eq. (17): dθ = (JᵀWJ)⁻¹ JᵀW dX_v* `(m,)`, for J of full column rank (Fig. 3b).
+
+    Raises:
+        InputError: J is of another case. A plain solve with a singular JᵀWJ would return a step dozens of times too long
+            without any error.
+    """
+    _require(TaskCase.OVERCONSTRAINED, jacobian, rank_tolerance, "Eq. (17)")
+    return weighted_optimum(jacobian, weights, dx_desired)
+
+
+def strict_solution(levels: Sequence[Level], reference: Array, rank_tolerance: float = RANK_TOLERANCE) -> Array:
+    """Return the joint step `(m,)` of all levels in strict order, then the nearest to `reference`, without inequalities.
+
+    Each level is solved by Eqs. (12) and (14) in the directions that the levels before it leave free. With one level it
+    is Eqs. (12) and (13).
+    """
+    dtheta = np.zeros_like(reference)
+    free = np.eye(len(reference))  # columns: the directions still free
+    for level in levels:
+        if not free.shape[1]:
+            return dtheta
+        factors = level_decomposition(level, free, rank_tolerance)
+        dx_b = weighted_optimum(factors.j_a, level.weights, level.target - level.matrix @ dtheta)
+        dtheta = dtheta + free @ minimum_norm_solution(factors.j_b, dx_b)
+        free = free @ null_space(factors.j_b)
+    return dtheta + free @ (free.T @ (reference - dtheta))
+
+
+def level_decomposition(level: Level, free: Array, rank_tolerance: float) -> RankDecomposition:
+    """Eq. (6) of what a level can still do in the `free` directions `(m, f)`; its rank counts against the whole level."""
+    if free.shape[1] == level.matrix.shape[1]:
+        return rank_decomposition_svd(level.matrix @ free, rank_tolerance)
+    return rank_decomposition_svd(level.matrix @ free, rank_tolerance, float(np.linalg.norm(level.matrix, 2)))
+
+
+def null_space(j_b: Array) -> Array:
+    """Return an orthonormal basis `(m, m - p)` of the directions that J_b `(p, m)`, of full row rank, does not feel."""
+    p, m = j_b.shape
+    if p == 0:
+        return np.eye(m)
+    q, _ = np.linalg.qr(j_b.T, mode="complete")
+    return q[:, p:]
+
+
+def _tolerance(rank_tolerance: float) -> float:
+    if not 0.0 < rank_tolerance < 1.0:
+        raise InputError(f"rank_tolerance is {rank_tolerance!r}; expected a number between 0 and 1, such as 1e-6.")
+    return rank_tolerance
+
+
+def _require(case: TaskCase, jacobian: Array, rank_tolerance: float, equation: str) -> None:
+    found = task_case(jacobian, rank_tolerance)
+    square_full = jacobian.shape[0] == jacobian.shape[1] and found is TaskCase.REDUNDANT
+    if found is not case and not square_full:
+        raise InputError(
+            f"{equation} needs the case {case.name} of Fig. 3, but J {jacobian.shape} is {found.name} ({found.value}); "
+            "use Eqs. (12) and (14), which apply to every case."
+        )

@@ -1,0 +1,95 @@
+"""What the arm feels: distances to the object, contact vectors, and contact with hysteresis.
+
+Everything is read from MuJoCo's collision detection; nothing here knows the object's size, shape or place.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from prioritized_ik.errors import ModelError
+from prioritized_ik.validation import Array, positive
+from prioritized_ik.virtual_arms import object_id
+
+REACH = 10.0  # [m] beyond this a link counts as this far away
+_CAPSULE, _SPHERE = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_SPHERE)
+
+
+@dataclass(frozen=True)
+class Touch:
+    """One reading of every link.
+
+    Attributes:
+        distance: between link and object `(n,)` [m], negative in penetration.
+        normal: unit vectors from the object into the link at the nearest points `(n, 3)`; zero beyond `REACH`.
+        point: the nearest point on each link `(n, 3)` [m].
+    """
+
+    distance: Array
+    normal: Array
+    point: Array
+
+
+class TouchSensor:
+    """Reads `Touch` for links that are capsules or spheres, whose normals stay exact down to zero distance.
+
+    Args:
+        model: the MuJoCo model.
+        link_geoms: one geom a link, base first.
+        object_geom: the object's geom: any convex shape MuJoCo knows.
+
+    Raises:
+        ModelError: a geom that the model lacks, or a link that is neither capsule nor sphere.
+    """
+
+    def __init__(self, model: mujoco.MjModel, link_geoms: Sequence[str], object_geom: str = "object") -> None:
+        self.model = model
+        self._links = [object_id(model, "geom", name) for name in link_geoms]
+        self._object = object_id(model, "geom", object_geom)
+        for name, geom in zip(link_geoms, self._links, strict=True):
+            if model.geom_type[geom] not in (_CAPSULE, _SPHERE):
+                kind = mujoco.mjtGeom(model.geom_type[geom]).name
+                raise ModelError(f"link geom {name!r} is a {kind}; expected a capsule or a sphere.")
+        self.bodies = [int(model.geom_bodyid[geom]) for geom in self._links]
+        self._is_capsule = model.geom_type[self._links] == _CAPSULE
+        self._half_lengths = np.where(self._is_capsule, model.geom_size[self._links, 1], 0.0)  # (n,) [m]
+        self._radii = model.geom_size[self._links, 0]  # (n,) [m]
+
+    def read(self, data: mujoco.MjData) -> Touch:
+        """Return the reading at the current positions of `data`. Needs `mj_kinematics`."""
+        n = len(self._links)
+        distance, point = np.empty(n), np.empty((n, 3))
+        segment = np.empty(6)
+        for i, geom in enumerate(self._links):
+            distance[i] = mujoco.mj_geomDistance(self.model, data, geom, self._object, REACH, segment)
+            point[i] = segment[:3]
+        # The normal runs from the surface point to the capsule's core, a radius away: well defined at zero distance,
+        # where the segment between the two nearest points is not.
+        centre = data.geom_xpos[self._links]
+        axis = data.geom_xmat[self._links].reshape(n, 3, 3)[:, :, 2]
+        along = np.clip(np.einsum("ni,ni->n", point - centre, axis), -self._half_lengths, self._half_lengths)
+        normal = (centre + along[:, None] * axis - point) / self._radii[:, None]
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        normal[distance >= REACH] = 0.0
+        return Touch(distance, normal, point)
+
+
+def update_contact(
+    in_contact: NDArray[np.bool_], distance: Array, contact_distance: float, release_distance: float
+) -> NDArray[np.bool_]:
+    """Return which links are in contact now `(n,)`, given which were.
+
+    A link makes contact at or below `contact_distance` [m] and loses it above `release_distance` [m].
+
+    Raises:
+        InputError: a distance that is not positive.
+        ModelError: a release distance below the contact distance.
+    """
+    if positive("release_distance", release_distance) < positive("contact_distance", contact_distance):
+        raise ModelError(
+            f"release_distance {release_distance} is below contact_distance {contact_distance}; expected it above."
+        )
+    return np.where(in_contact, distance <= release_distance, distance <= contact_distance)

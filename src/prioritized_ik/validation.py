@@ -1,0 +1,83 @@
+"""Checks of the caller's values, each raising one `InputError` that says what to do about it."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from prioritized_ik.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def positive(name: str, value: float) -> float:
+    """Return `value` as a float if it is finite and above zero."""
+    number = float(value)
+    if not (math.isfinite(number) and number > 0.0):
+        raise InputError(f"{name} is {value!r}; expected a finite number above 0.")
+    return number
+
+
+def non_negative(name: str, value: float) -> float:
+    """Return `value` as a float if it is finite and not below zero."""
+    number = float(value)
+    if not (math.isfinite(number) and number >= 0.0):
+        raise InputError(f"{name} is {value!r}; expected a finite number of at least 0.")
+    return number
+
+
+def at_least(name: str, value: int, minimum: int) -> int:
+    """Return `value` if it is a whole number of at least `minimum`."""
+    if value != int(value) or value < minimum:
+        raise InputError(f"{name} is {value!r}; expected a whole number of at least {minimum}.")
+    return int(value)
+
+
+def one_of(name: str, value: str, choices: Iterable[str]) -> str:
+    """Return `value` if it is one of `choices`."""
+    known = list(choices)
+    if value not in known:
+        raise InputError(f"unknown {name} {value!r}; choose one of: {', '.join(known)}.")
+    return value
+
+
+def finite_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    """Return a read-only float copy of `value`, which must be finite and of `shape` (None: any length).
+
+    Raises:
+        InputError: wrong shape, or NaN or an infinity, naming the first place where it stands.
+    """
+    array = shaped_array(name, value, shape)
+    bad = ~np.isfinite(array)
+    if bad.any():
+        place = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InputError(f"{name}{list(place)} is {array[place]}; expected finite numbers only.")
+    return array
+
+
+def shaped_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    """Return a read-only float copy of `value`, which must have `shape` (None: any length) and hold no NaN."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is not an array of numbers ({error}); expected shape {_text(shape)}.") from error
+    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
+        raise InputError(f"{name} has shape {array.shape}; expected {_text(shape)}.")
+    if np.isnan(array).any():
+        place = [int(i) for i in np.argwhere(np.isnan(array))[0]]
+        raise InputError(f"{name}{place} is nan; expected numbers only.")
+    array.setflags(write=False)
+    return array
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only copy of `array`."""
+    copy = np.array(array)
+    copy.setflags(write=False)
+    return copy
+
+
+def _text(shape: tuple[int | None, ...]) -> str:
+    return "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"

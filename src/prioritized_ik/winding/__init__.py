@@ -1,0 +1,1 @@
+"""Winding by touch alone (Sec. 4): the plan, the controller, the episode and how to measure it."""

@@ -1,0 +1,117 @@
+"""From the arm's state to the problem of its next step: touch, plan, weights, limits (Sec. 4.2)."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from prioritized_ik.limits import contact_rows, joint_range_bounds, step_bounds
+from prioritized_ik.models import update_kinematics
+from prioritized_ik.problem import IKProblem, Level
+from prioritized_ik.touch import Touch, TouchSensor, update_contact
+from prioritized_ik.validation import Array
+from prioritized_ik.virtual_arms import VirtualArms
+from prioritized_ik.weights import diagonal_of_weights, winding_weights
+from prioritized_ik.winding.plan import driven_arms, first_and_last_in_contact, plan
+from prioritized_ik.winding.settings import WindingSettings
+
+
+class Equilibrium(Enum):
+    """The two states in which every desired displacement is zero (Sec. 4.2)."""
+
+    WINDING = "state [1]: every link from k on is in contact"
+    FREE = "state [2]: no link is in contact"
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What the controller knows at one instant.
+
+    Attributes:
+        positions: end points `(n, 3)` [m].
+        directions: a, unit directions of the links `(n, 3)`.
+        touch: distances, normals, nearest points.
+        in_contact: M `(n,)`.
+        contact_vectors: c `(n, 3)`, zero without contact.
+        first, last: the first link in contact, and the last of those in succession with it; 0 if none.
+        desired: dX* `(n, 3)` [m].
+        signs: s of Eq. (21) `(n,)`.
+    """
+
+    positions: Array
+    directions: Array
+    touch: Touch
+    in_contact: NDArray[np.bool_]
+    contact_vectors: Array
+    first: int
+    last: int
+    desired: Array
+    signs: Array
+
+    @property
+    def equilibrium(self) -> Equilibrium | None:
+        """Which equilibrium this is, or None while an arm is driven."""
+        if driven_arms(self.in_contact).any():
+            return None
+        return Equilibrium.WINDING if self.in_contact.any() else Equilibrium.FREE
+
+
+class WindingController:
+    """Winds by touch alone: it reads the arm's posture and contacts, never the object's size or place."""
+
+    def __init__(self, settings: WindingSettings) -> None:
+        self.settings = settings
+        self.model = settings.model()
+        self.data = mujoco.MjData(self.model)
+        arm = settings.arm
+        self.arms = VirtualArms(self.model, arm.end_sites)
+        self.sensor = TouchSensor(self.model, arm.link_geoms)
+        self._links = [self.model.body(name).id for name in arm.link_geoms]
+        self._step_bounds = step_bounds(self.model, settings.max_step)
+
+    def observe(self, q: Array, was_in_contact: NDArray[np.bool_]) -> Situation:
+        """Return the situation at joint positions `q` `(m,)` [rad], given which links were in contact `(n,)`."""
+        settings = self.settings
+        update_kinematics(self.model, self.data, q)
+        touch = self.sensor.read(self.data)
+        in_contact = update_contact(was_in_contact, touch.distance, settings.contact_distance, settings.release_distance)
+        directions = self.data.xmat[self._links].reshape(-1, 3, 3)[:, :, 0].copy()
+        contact_vectors = np.where(in_contact[:, None], touch.normal, 0.0)
+        first, last = first_and_last_in_contact(in_contact)
+        desired, signs = plan(
+            directions,
+            contact_vectors,
+            in_contact,
+            speed=settings.speed,
+            dt=settings.dt,
+            dead_band=settings.dead_band,
+        )
+        return Situation(
+            self.arms.positions(self.data), directions, touch, in_contact, contact_vectors, first, last, desired, signs
+        )
+
+    def problem(self, q: Array, situation: Situation) -> IKProblem:
+        """Return the problem of the step from `q`, where `situation` was observed last."""
+        settings = self.settings
+        weights = winding_weights(situation.last, settings.arm.links, settings.weights)
+        level = Level(
+            self.arms.jacobian(self.data),
+            situation.desired.ravel(),
+            diagonal_of_weights(weights, self.arms.dimension),
+            "virtual arms",
+        )
+        bounds, rows = None, None
+        if settings.limits:
+            bounds = joint_range_bounds(self.model, q).intersect(self._step_bounds)
+        if settings.contacts:
+            rows = contact_rows(
+                self.model,
+                self.data,
+                situation.touch,
+                self.sensor.bodies,
+                min_distance=settings.min_distance,
+                gain=settings.contact_gain,
+            )
+        return IKProblem((level,), bounds, rows)

@@ -1,0 +1,282 @@
+"""One winding episode: the loop, its record, and the record's file.
+
+The arm moves kinematically: each step's dθ is added to the joint positions as it is. The record holds every step's problem
+and outcome, so that any solver can be run on the same problems later; a saved episode replays bit for bit.
+"""
+
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prioritized_ik.errors import EpisodeFileError, InputError
+from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
+from prioritized_ik.solve.backends.registry import get_backend
+from prioritized_ik.solve.closed_form import strict_solution
+from prioritized_ik.solve.lexicographic import joint_step
+from prioritized_ik.solve.step import JointStep, StepStatus
+from prioritized_ik.validation import Array, read_only
+from prioritized_ik.winding.controller import Equilibrium, WindingController
+from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
+
+FORMAT = "prioritized-ik episode 1"
+
+Solve = Callable[[IKProblem, Array], JointStep]  # the problem, and the joint positions it was posed at
+
+
+class Outcome(Enum):
+    """How an episode ended."""
+
+    WOUND = "equilibrium [1]: every link from k on is in contact"
+    LOST = "equilibrium [2]: no link is in contact"
+    OUT_OF_STEPS = "no equilibrium within max_steps"
+    SOLVER_FAILED = "the solver gave no step, so the arm stopped"
+
+
+@dataclass(frozen=True)
+class Episode:
+    """The record of T steps of an arm with n links and m joints; L = 3 n. The last state, T, has no step.
+
+    Attributes:
+        settings: what decided it.
+        outcome: how it ended.
+        message: the solver's own words, if it failed.
+        q: joint positions `(T + 1, m)` [rad].
+        positions: end points `(T + 1, n, 3)` [m].
+        directions: unit directions of the links `(T + 1, n, 3)`.
+        distance: of each link to the object `(T + 1, n)` [m].
+        in_contact: M `(T + 1, n)`.
+        contact_vectors: c `(T + 1, n, 3)`.
+        signs: s of Eq. (21) `(T + 1, n)`.
+        desired: dX_v* `(T, L)` [m].
+        jacobian: J `(T, L, m)`.
+        weights: diagonal of W `(T, L)`.
+        lower, upper: bounds on dθ `(T, m)` [rad], infinite where there is none.
+        row_matrix: contact rows by link `(T, n, m)`.
+        row_upper: their right sides `(T, n)` [m], infinite where a link has no row.
+        dtheta: the steps `(T, m)` [rad]; NaN where the solver failed.
+        status: names of `StepStatus` `(T,)`.
+        solve_seconds, build_seconds: see `Timings` `(T,)`.
+    """
+
+    settings: WindingSettings
+    outcome: Outcome
+    message: str
+    q: Array
+    positions: Array
+    directions: Array
+    distance: Array
+    in_contact: NDArray[np.bool_]
+    contact_vectors: Array
+    signs: Array
+    desired: Array
+    jacobian: Array
+    weights: Array
+    lower: Array
+    upper: Array
+    row_matrix: Array
+    row_upper: Array
+    dtheta: Array
+    status: NDArray[np.str_]
+    solve_seconds: Array
+    build_seconds: Array
+
+    @property
+    def steps(self) -> int:
+        """Number of steps T."""
+        return len(self.dtheta)
+
+    def problem(self, step: int) -> IKProblem:
+        """Return the problem of `step` (from 0), as it was solved then.
+
+        Raises:
+            InputError: there is no such step.
+        """
+        if not 0 <= step < self.steps:
+            raise InputError(f"step is {step}; expected 0 to {self.steps - 1}.")
+        level = Level(self.jacobian[step], self.desired[step], self.weights[step], "virtual arms")
+        links = np.flatnonzero(np.isfinite(self.row_upper[step]))
+        rows = Rows(
+            self.row_matrix[step, links],
+            self.row_upper[step, links],
+            tuple(f"contact of link {link + 1}" for link in links),
+        )
+        return IKProblem((level,), Bounds(self.lower[step], self.upper[step], self._joint_names), rows)
+
+    def problems(self, steps: Iterator[int] | range | None = None) -> Iterator[IKProblem]:
+        """Yield the problems of `steps`, of all unless given."""
+        return (self.problem(step) for step in (range(self.steps) if steps is None else steps))
+
+    def save(self, path: str | Path) -> None:
+        """Write the episode to one `.npz` file, whole or not at all.
+
+        Raises:
+            EpisodeFileError: it cannot be written.
+        """
+        arrays: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
+        header: dict[str, Any] = {
+            "format": np.array(FORMAT),
+            "settings": np.array(self.settings.to_json()),
+            "outcome": np.array(self.outcome.name),
+            "message": np.array(self.message),
+        }
+        target = Path(path)
+        try:
+            with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".npz", delete=False) as file:
+                try:
+                    np.savez_compressed(file, **header, **arrays)
+                    file.close()
+                    os.replace(file.name, target)
+                except BaseException:
+                    Path(file.name).unlink(missing_ok=True)
+                    raise
+        except OSError as error:
+            raise EpisodeFileError(
+                f"cannot write the episode to {str(target)!r} ({error}); choose a folder that exists and is writable."
+            ) from error
+
+    @staticmethod
+    def load(path: str | Path) -> "Episode":
+        """Return the episode that `save` wrote. Nothing in the file is executed.
+
+        Raises:
+            EpisodeFileError: not there, not such a file, or damaged.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                content = {name: file[name] for name in file.files}
+            if str(content["format"]) != FORMAT:
+                raise EpisodeFileError(
+                    f"{str(path)!r} has the format {str(content['format'])!r}; expected {FORMAT!r}. Record it anew."
+                )
+            settings = WindingSettings.from_json(str(content["settings"]))
+            arrays = {name: read_only(content[name]) for name in _ARRAYS}
+            episode = Episode(settings, Outcome[str(content["outcome"])], str(content["message"]), **arrays)
+            episode._check_shapes()
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise EpisodeFileError(
+                f"cannot read an episode from {str(path)!r} ({error}); expected a file that `wind --save` wrote, whole."
+            ) from error
+        return episode
+
+    @property
+    def _joint_names(self) -> tuple[str, ...]:
+        arm = self.settings.arm
+        return tuple(f"joint_{link}{axis}" for link in arm.link_numbers for axis in arm.hinge_axes(link))
+
+    def _check_shapes(self) -> None:
+        t, n, m = self.steps, self.settings.arm.links, self.settings.arm.joint_count
+        expected = {
+            "q": (t + 1, m), "positions": (t + 1, n, 3), "directions": (t + 1, n, 3), "distance": (t + 1, n),
+            "in_contact": (t + 1, n), "contact_vectors": (t + 1, n, 3), "signs": (t + 1, n),
+            "desired": (t, 3 * n), "jacobian": (t, 3 * n, m), "weights": (t, 3 * n),
+            "lower": (t, m), "upper": (t, m), "row_matrix": (t, n, m), "row_upper": (t, n),
+            "dtheta": (t, m), "status": (t,), "solve_seconds": (t,), "build_seconds": (t,),
+        }  # fmt: skip
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
+
+
+_ARRAYS = [item.name for item in fields(Episode) if item.name not in ("settings", "outcome", "message")]
+
+
+def wind(settings: WindingSettings, solve: Solve | None = None) -> Episode:
+    """Return the episode of an arm that winds until equilibrium, a failed step, or `max_steps`.
+
+    Args:
+        settings: everything that decides it.
+        solve: what turns a problem into a step, instead of `settings.solver`.
+
+    Raises:
+        SolverUnavailableError: the solver is unknown or not installed.
+        InputError: the initial posture is outside the joint ranges.
+    """
+    solve = solve or _solve_of(settings)
+    controller = WindingController(settings)
+    n, m = settings.arm.links, settings.arm.joint_count
+    q, in_contact = settings.initial_posture(), np.zeros(n, dtype=bool)
+    states: list[dict[str, Any]] = []
+    steps: list[dict[str, Any]] = []
+    outcome, message = Outcome.OUT_OF_STEPS, ""
+    while True:
+        situation = controller.observe(q, in_contact)
+        in_contact = situation.in_contact
+        states.append(
+            {
+                "q": q,
+                "positions": situation.positions,
+                "directions": situation.directions,
+                "distance": situation.touch.distance,
+                "in_contact": in_contact,
+                "contact_vectors": situation.contact_vectors,
+                "signs": situation.signs,
+            }
+        )
+        if situation.equilibrium is not None:
+            outcome = Outcome.WOUND if situation.equilibrium is Equilibrium.WINDING else Outcome.LOST
+            break
+        if len(steps) == settings.max_steps:
+            break
+        problem = controller.problem(q, situation)
+        step = solve(problem, q)
+        steps.append(_record(problem, step, n))
+        if step.dtheta is None:
+            outcome, message = Outcome.SOLVER_FAILED, f"{step.status.value}. {step.message}"
+            break
+        q = q + step.dtheta
+    if outcome is Outcome.SOLVER_FAILED:
+        states.append(states[-1])
+    arrays = {name: read_only(np.array([state[name] for state in states])) for name in states[0]}
+    # An episode may have no step; the pattern of one gives its empty arrays their shapes.
+    pattern = _record(IKProblem([Level(np.zeros((3 * n, m)), np.zeros(3 * n))]), JointStep(None, StepStatus.SOLVED), n)
+    for name, value in pattern.items():
+        column = [step[name] for step in steps]
+        arrays[name] = read_only(np.array(column) if column else np.array([value])[:0])
+    return Episode(settings, outcome, message, **arrays)
+
+
+def replay(episode: Episode) -> Episode:
+    """Return the episode wound anew from the same settings: the same bits, timings aside."""
+    return wind(episode.settings)
+
+
+def _solve_of(settings: WindingSettings) -> Solve:
+    if settings.solver == CLOSED_FORM:
+        return lambda problem, _: _closed_form_step(problem, settings.options.rank_tolerance)
+    backend = get_backend(settings.solver, settings.options.accuracy)
+    return lambda problem, _: joint_step(problem, backend, settings.options)
+
+
+def _closed_form_step(problem: IKProblem, rank_tolerance: float) -> JointStep:
+    dtheta = strict_solution(problem.levels, problem.reference, rank_tolerance)
+    return JointStep(dtheta, StepStatus.CLOSED_FORM, costs=tuple(level.cost(dtheta) for level in problem.levels))
+
+
+def _record(problem: IKProblem, step: JointStep, links: int) -> dict[str, Any]:
+    level, m = problem.levels[0], problem.joint_count
+    matrix, upper = np.zeros((links, m)), np.full(links, np.inf)
+    for name, row, side in zip(problem.rows.names, problem.rows.matrix, problem.rows.upper, strict=True):
+        link = int(name.rsplit(" ", 1)[1]) - 1
+        matrix[link], upper[link] = row, side
+    return {
+        "desired": level.target,
+        "jacobian": level.matrix,
+        "weights": level.weights,
+        "lower": problem.bounds.lower,
+        "upper": problem.bounds.upper,
+        "row_matrix": matrix,
+        "row_upper": upper,
+        "dtheta": np.full(m, np.nan) if step.dtheta is None else step.dtheta,
+        "status": step.status.name,
+        "solve_seconds": step.timings.solve,
+        "build_seconds": step.timings.build,
+    }

@@ -1,0 +1,148 @@
+"""Everything that decides an episode, in one frozen record that travels as JSON."""
+
+import dataclasses
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.models import (
+    DIRECTIONS,
+    POSTURES,
+    Arm,
+    WindingObject,
+    update_kinematics,
+    winding_model,
+)
+from prioritized_ik.solve.lexicographic import SolveOptions
+from prioritized_ik.validation import Array, at_least, non_negative, one_of, positive
+from prioritized_ik.weights import FREE
+from prioritized_ik.winding.plan import DEAD_BAND
+
+CLOSED_FORM = "closed-form"  # the "solver" that is Eqs. (12) to (14) alone: no limits, no contact rows
+
+
+@dataclass(frozen=True)
+class WindingSettings:
+    """Settings of one winding episode. Where the paper states nothing, the default is a choice of this project.
+
+    Attributes:
+        arm: the arm; the paper's.
+        shape: the object's shape, a key of `models.SHAPES`; the paper's is a cylinder of 0.14 m diameter.
+        size: its half-sizes [m].
+        direction: where it comes from (Fig. 6).
+        link: k, the link that it touches at first (not stated).
+        tilt: turn of its axis about the contact normal [rad] (not stated; 0 winds a ring).
+        gap: distance between object and link at the start [m] (not stated).
+        posture: initial posture (not stated).
+        seed: of a random posture.
+        weights: `"eq23"` or `"eq24"`.
+        speed: η = 2 [m/s].
+        dt: time step [s] (not stated).
+        dead_band: of Eq. (21), see `plan.DEAD_BAND`.
+        contact_distance: a link makes contact at this distance [m] (not stated).
+        release_distance: and loses it above this [m] (not stated).
+        limits: keep joint ranges and the step limit (QP only).
+        contacts: keep links out of the object (QP only).
+        max_step: largest step of a joint [rad].
+        min_distance: links stop this short of the object [m], inside the contact distance.
+        contact_gain: how much of the gap one step may close. At 1 the curvature of large steps lets links break through
+            by 10 mm; at 0.5 they stay out.
+        max_steps: an episode without equilibrium ends after this many.
+        solver: one of `known_solvers()`, or `"closed-form"`.
+        options: how to solve.
+    """
+
+    arm: Arm = field(default_factory=Arm)
+    shape: str = "cylinder"
+    size: tuple[float, ...] = (0.07, 0.5)
+    direction: str = "up"
+    link: int = 6
+    tilt: float = 0.0
+    gap: float = 1e-3
+    posture: str = "straight"
+    seed: int = 0
+    weights: str = "eq23"
+    speed: float = 2.0
+    dt: float = 2e-3
+    dead_band: float = DEAD_BAND
+    contact_distance: float = 2e-3
+    release_distance: float = 4e-3
+    limits: bool = True
+    contacts: bool = True
+    max_step: float = 0.1
+    min_distance: float = 1e-3
+    contact_gain: float = 0.5
+    max_steps: int = 1500
+    solver: str = "daqp"
+    options: SolveOptions = field(default_factory=SolveOptions)
+
+    def __post_init__(self) -> None:
+        one_of("direction", self.direction, DIRECTIONS)
+        one_of("posture", self.posture, POSTURES)
+        one_of("weights", self.weights, FREE)
+        if not 1 <= self.link <= self.arm.links:
+            raise InputError(f"link is {self.link}; expected 1 to {self.arm.links}.")
+        for name in ("speed", "dt", "contact_distance", "release_distance", "max_step"):
+            positive(name, getattr(self, name))
+        for name in ("gap", "dead_band", "min_distance"):
+            non_negative(name, getattr(self, name))
+        if not abs(self.tilt) < 1.2:
+            raise InputError(f"tilt is {self.tilt!r}; expected less than 1.2 rad to either side.")
+        if not 0.0 < self.contact_gain <= 1.0:
+            raise InputError(f"contact_gain is {self.contact_gain!r}; expected a number above 0 and up to 1.")
+        if self.release_distance < self.contact_distance:
+            raise InputError(
+                f"release_distance {self.release_distance} is below contact_distance {self.contact_distance}; "
+                "expected it above."
+            )
+        if self.contacts and self.min_distance >= self.contact_distance:
+            raise InputError(
+                f"min_distance {self.min_distance} is not below contact_distance {self.contact_distance}: "
+                "no link could ever make contact."
+            )
+        at_least("max_steps", self.max_steps, 1)
+        if self.solver == CLOSED_FORM and (self.limits or self.contacts):
+            raise InputError("the closed form knows no limits or contacts; set both to False, or choose a QP solver.")
+        self.wound_object()
+
+    def initial_posture(self) -> Array:
+        """Return the initial joint positions `(m,)` [rad]."""
+        return self.arm.posture(self.posture, self.seed)
+
+    def wound_object(self) -> WindingObject:
+        """Return the object at its place, touching the middle of `link` in the initial posture."""
+        model = self.arm.spec().compile()
+        data = mujoco.MjData(model)
+        update_kinematics(model, data, self.initial_posture())
+        link = data.body(f"link_{self.link}")
+        along = link.xmat.reshape(3, 3)[:, 0].copy()
+        middle = link.xpos + 0.5 * self.arm.link_length * along
+        unplaced = WindingObject(self.shape, self.size)
+        return unplaced.touching(middle, along, self.direction, self.tilt, self.arm.radius + self.gap)
+
+    def model(self) -> mujoco.MjModel:
+        """Return the model of arm and object."""
+        return winding_model(self.arm, self.wound_object())
+
+    def to_json(self) -> str:
+        """Return the settings as JSON."""
+        return json.dumps(dataclasses.asdict(self))
+
+    @staticmethod
+    def from_json(text: str) -> "WindingSettings":
+        """Return the settings that `to_json` wrote.
+
+        Raises:
+            InputError: not such a JSON text, or values out of range.
+        """
+        try:
+            fields: dict[str, Any] = json.loads(text)
+            fields["arm"] = Arm(**fields["arm"])
+            fields["options"] = SolveOptions(**fields["options"])
+            fields["size"] = tuple(fields["size"])
+            return WindingSettings(**fields)
+        except (json.JSONDecodeError, KeyError, TypeError) as error:
+            raise InputError(f"these are not settings of an episode ({error}).") from error
