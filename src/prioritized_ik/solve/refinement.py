@@ -27,8 +27,11 @@ RESTED = 1e-10  # ρ‖z - z_k‖ below this leaves no trace in the costed varia
 SETTLED = 1e-9  # zooming stops once it moves the joint step by less than this fraction
 
 
-def proximal_point(stage: Stage, solve_once: SolveOnce) -> SolveOnce:
-    """Return `solve_once` for problems with this stage's Hessian, made positive definite without changing the optimum."""
+def proximal_point(stage: Stage, solve_once: SolveOnce, gave_up: type[Exception]) -> SolveOnce:
+    """Return `solve_once` for problems with this stage's Hessian, made positive definite without changing the optimum.
+
+    A later round that raises `gave_up` ends the rounds; the answer so far stays, as it is the solver's own.
+    """
     if stage.costed == stage.size:
         return solve_once
     unfelt = slice(stage.costed, stage.size)
@@ -37,10 +40,16 @@ def proximal_point(stage: Stage, solve_once: SolveOnce) -> SolveOnce:
         hessian = problem.P.copy()
         hessian[range(stage.costed, stage.size), range(stage.costed, stage.size)] += PROXIMAL_SHIFT
         z = np.zeros(stage.size - stage.costed)
+        x = None
         for _ in range(PROXIMAL_ROUNDS):
             linear = problem.q.copy()
             linear[unfelt] -= PROXIMAL_SHIFT * z
-            x = solve_once(qpsolvers.Problem(hessian, linear, problem.G, problem.h))
+            try:
+                x = solve_once(qpsolvers.Problem(hessian, linear, problem.G, problem.h))
+            except gave_up:
+                if x is None:
+                    raise
+                return x
             moved = np.abs(x[unfelt] - z).max()
             z = x[unfelt]
             if PROXIMAL_SHIFT * moved <= RESTED:

@@ -40,7 +40,7 @@ class Stage:
         origin: dθ at x = 0 `(m,)`.
         basis: `(m, v)`.
         costed: how many of the variables, the first ones, the cost feels.
-        as_it_stands: whether a backend must solve exactly this QP, once, without any refinement.
+        as_it_stands: whether a backend must solve exactly this QP, once, with its default options.
     """
 
     problem: qpsolvers.Problem
@@ -125,19 +125,16 @@ def reference_stage(reference: Array, room: Room) -> Stage:
 def damped_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
     """Return the one QP that mink and pink would solve: min (b - A dθ)ᵀW(b - A dθ) + damping ‖dθ - r‖², in dθ itself.
 
-    A different problem from Eqs. (12) to (14), for comparison: it is not scaled and must be solved as it stands.
+    A different problem from Eqs. (12) to (14), for comparison: it is not scaled, and is solved as it stands, with
+    the solver's default options.
     """
-    m = problem.joint_count
+    m, rows = problem.joint_count, problem.inequalities
     weighted = level.weights[:, None] * level.matrix
-    bounds, rows = problem.bounds, problem.rows
-    qp = qpsolvers.Problem(
-        level.matrix.T @ weighted + damping * np.eye(m),
-        -weighted.T @ level.target - damping * problem.reference,
-        rows.matrix if len(rows.upper) else None,
-        rows.upper if len(rows.upper) else None,
-        lb=bounds.lower if np.isfinite(bounds.lower).any() else None,
-        ub=bounds.upper if np.isfinite(bounds.upper).any() else None,
-    )
+    hessian = level.matrix.T @ weighted + damping * np.eye(m)
+    linear = -weighted.T @ level.target - damping * problem.reference
+    # Copies: a problem's arrays are read-only, and some solvers refuse those.
+    limits = (np.array(rows.matrix), np.array(rows.upper)) if len(rows.upper) else (None, None)
+    qp = qpsolvers.Problem(hessian, linear, *limits)
     return Stage(qp, np.zeros(m), np.eye(m), costed=m, as_it_stands=True)
 
 

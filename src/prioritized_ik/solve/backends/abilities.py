@@ -4,11 +4,12 @@ The oddities were measured on the recorded winding steps (49 joints, whitened st
 
 - quadprog and ecos need a positive definite Hessian; daqp takes a semidefinite one, but its automatic proximal mode stops
   early; highs cycles for seconds on one. They get the proximal point.
-- clarabel, cvxopt, piqp, scs: the weakest directions of a step stay off by up to 1e-1 even at tolerance 1e-10, because the
-  inactive rows' complementarity pushes on them. Two zooms bring them to 1e-8.
+- clarabel, cvxopt, piqp, scs: the weakest directions of a free step stay off by up to 1e-1 even at tolerance 1e-10, because
+  the complementarity of inactive rows pushes on them. A zoom or two bring them to 1e-8.
 - ecos minimises through an epigraph cone: a cost right to ε leaves x right to about √ε only. Three zooms.
-- highs adds 1e-7 to its Hessian's diagonal: one zoom removes that.
-- proxqp ends with a level-1 cost up to 5e-7 above the best where rows bind: one zoom brings 1e-9.
+- highs adds 1e-7 to its Hessian's diagonal: a zoom removes that.
+- daqp, quadprog, proxqp: where rows bind, the weak directions rest on multipliers of 1e-6, which a shift or a tolerance of
+  1e-8 disturbs: a zoom brings dθ from 1e-5 to 1e-8 of the others'.
 - osqp's polishing writes to standard output where no row binds, even when told to be quiet, so it stays off.
 """
 
@@ -47,18 +48,27 @@ def _eps(accuracy: float) -> Options:
     return {"eps_abs": accuracy, "eps_rel": accuracy}
 
 
-TWO_ZOOMS = (1e-3, 1e-5)
-
 ABILITIES: dict[str, Abilities] = {
     "clarabel": Abilities(
         "clarabel",
         lambda a: {"tol_gap_abs": a, "tol_gap_rel": a, "tol_feas": a},
         sparse=True,
-        zooms=TWO_ZOOMS,
+        zooms=(1e-3,),
     ),
-    "cvxopt": Abilities("cvxopt", lambda a: {"abstol": a, "reltol": a, "feastol": a}, warm_start=True, zooms=TWO_ZOOMS),
+    # Not below 1e-7: CVXOPT gives up on tighter ones where rows bind.
+    "cvxopt": Abilities(
+        "cvxopt",
+        lambda a: dict.fromkeys(("abstol", "reltol", "feastol"), max(a, 1e-7)),
+        warm_start=True,
+        zooms=(1e-3, 1e-5),
+    ),
     # A hundredth: DAQP is an active-set method, whose tolerances decide on rows and do not cost time.
-    "daqp": Abilities("daqp", lambda a: {"primal_tol": a / 100, "dual_tol": a / 10_000}, semidefinite=False),
+    "daqp": Abilities(
+        "daqp",
+        lambda a: {"primal_tol": a / 100, "dual_tol": a / 10_000},
+        semidefinite=False,
+        zooms=(1e-3,),
+    ),
     # Not below 1e-6: ECOS gives up on tighter ones more often than it gains.
     "ecos": Abilities(
         "ecos",
@@ -79,22 +89,34 @@ ABILITIES: dict[str, Abilities] = {
         sparse=True,
         zooms=(1e-3,),
     ),
+    # A hundredth, for want of zooms: on a zoomed stage OSQP and QPALM run into their iteration limits.
     "osqp": Abilities(
         "osqp",
         lambda a: {**_eps(a / 100), "max_iter": ITERATIONS},
         sparse=True,
         warm_start=True,
     ),
-    "piqp": Abilities("piqp", _eps, zooms=TWO_ZOOMS),
+    "piqp": Abilities("piqp", _eps, zooms=(1e-3,)),
     "proxqp": Abilities("proxsuite", _eps, warm_start=True, zooms=(1e-3,)),
-    "qpalm": Abilities("qpalm", lambda a: {**_eps(a / 100), "max_iter": ITERATIONS}, sparse=True, warm_start=True),
-    "quadprog": Abilities("quadprog", semidefinite=False),
-    "scs": Abilities("scs", lambda a: {**_eps(a), "max_iters": ITERATIONS}, sparse=True, warm_start=True, zooms=TWO_ZOOMS),
+    "qpalm": Abilities(
+        "qpalm",
+        lambda a: {**_eps(a / 100), "max_iter": ITERATIONS},
+        sparse=True,
+        warm_start=True,
+    ),
+    "quadprog": Abilities("quadprog", semidefinite=False, zooms=(1e-3,)),
+    "scs": Abilities(
+        "scs",
+        lambda a: {**_eps(a), "max_iters": ITERATIONS},
+        sparse=True,
+        warm_start=True,
+        zooms=(1e-3,),
+    ),
     "jaxopt_osqp": Abilities("jaxopt", lambda a: {"tol": a}, semidefinite=False, on_request=True),
-    "kvxopt": Abilities("kvxopt", lambda a: {"abstol": a, "reltol": a, "feastol": a}, zooms=TWO_ZOOMS, on_request=True),
+    "kvxopt": Abilities("kvxopt", lambda a: {"abstol": a, "reltol": a, "feastol": a}, zooms=(1e-3, 1e-5), on_request=True),
     "pyqpmad": Abilities("pyqpmad", semidefinite=False, on_request=True),
-    "qpax": Abilities("qpax", semidefinite=False, zooms=TWO_ZOOMS, on_request=True),
-    "qtqp": Abilities("qtqp", sparse=True, zooms=TWO_ZOOMS, on_request=True),
+    "qpax": Abilities("qpax", semidefinite=False, zooms=(1e-3, 1e-5), on_request=True),
+    "qtqp": Abilities("qtqp", sparse=True, zooms=(1e-3, 1e-5), on_request=True),
 }
 
 

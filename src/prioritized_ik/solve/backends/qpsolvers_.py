@@ -2,14 +2,15 @@
 
 import importlib.metadata
 import warnings
+from collections.abc import Callable
 
 import numpy as np
 import qpsolvers
 import scipy.sparse
 
-from prioritized_ik.solve.backends.abilities import abilities_of
+from prioritized_ik.solve.backends.abilities import Options, abilities_of
 from prioritized_ik.solve.backends.protocol import StageResult
-from prioritized_ik.solve.refinement import proximal_point, zoom_in
+from prioritized_ik.solve.refinement import SolveOnce, proximal_point, zoom_in
 from prioritized_ik.solve.stages import Stage
 from prioritized_ik.validation import Array
 
@@ -17,8 +18,11 @@ from prioritized_ik.validation import Array
 #: C++ and XLA errors to. Anything else is a bug and passes.
 SOLVER_ERRORS = (qpsolvers.exceptions.QPError, ArithmeticError, ValueError, RuntimeError)
 
+#: How much looser the second attempt is. Zooming in makes up for it.
+LOOSER = 100.0
 
-class _SolverFailedError(Exception):
+
+class SolverFailedError(Exception):
     """One call of the solver gave no answer."""
 
 
@@ -29,7 +33,6 @@ class QpsolversBackend:
         self.name = name
         self.accuracy = accuracy
         self.abilities = abilities_of(name)
-        self._options = dict(self.abilities.options(accuracy))
 
     @property
     def version(self) -> str:
@@ -40,39 +43,56 @@ class QpsolversBackend:
             return "unknown"
 
     def solve(self, stage: Stage) -> StageResult:
-        """See `Backend.solve`."""
+        """See `Backend.solve`. Where the accuracy asked for is out of the solver's reach, a looser one is tried once."""
+        if stage.as_it_stands:
+            return self._attempt(stage, lambda problem: self._call(problem, {}))
+        first = self._solve_exactly(stage, self.accuracy)
+        if first.x is not None:
+            return first
+        second = self._solve_exactly(stage, min(LOOSER * self.accuracy, 0.1))
+        return StageResult(second.x, first.message if second.x is None else "", first.calls + second.calls)
+
+    def _solve_exactly(self, stage: Stage, accuracy: float) -> StageResult:
+        options = self.abilities.options(accuracy)
+
+        def exactly(once: SolveOnce) -> Array:
+            solve = once if self.abilities.semidefinite else proximal_point(stage, once, SolverFailedError)
+            return zoom_in(stage, solve(stage.problem), self.abilities.zooms, solve, SolverFailedError)
+
+        return self._attempt(stage, lambda problem: self._call(problem, options), exactly)
+
+    @staticmethod
+    def _attempt(stage: Stage, once: SolveOnce, whole: Callable[[SolveOnce], Array] | None = None) -> StageResult:
+        """Return what `whole`, a procedure of calls of `once`, makes of the stage; one call of it unless given."""
         calls = 0
 
-        def solve_once(problem: qpsolvers.Problem) -> Array:
+        def counted(problem: qpsolvers.Problem) -> Array:
             nonlocal calls
             calls += 1
-            return self._call(problem)
+            return once(problem)
 
         try:
-            if stage.as_it_stands:
-                return StageResult(solve_once(stage.problem), calls=calls)
-            solve = solve_once if self.abilities.semidefinite else proximal_point(stage, solve_once)
-            x = zoom_in(stage, solve(stage.problem), self.abilities.zooms, solve, _SolverFailedError)
-        except _SolverFailedError as failure:
+            x = counted(stage.problem) if whole is None else whole(counted)
+        except SolverFailedError as failure:
             return StageResult(None, str(failure), calls)
         return StageResult(x, calls=calls)
 
-    def _call(self, problem: qpsolvers.Problem) -> Array:
+    def _call(self, problem: qpsolvers.Problem, options: Options) -> Array:
         """Return the solver's finite answer to one QP."""
         if self.abilities.sparse:
             problem = _as_sparse(problem)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # solvers warn about inaccuracy; what they found is judged by its figures
-                solution = qpsolvers.solve_problem(problem, solver=self.name, **self._options)
+                solution = qpsolvers.solve_problem(problem, solver=self.name, **options)
         except SOLVER_ERRORS as error:
-            raise _SolverFailedError(f"{self.name} raised {type(error).__name__}: {error}") from error
+            raise SolverFailedError(f"{self.name} raised {type(error).__name__}: {error}") from error
         # Some backends return a junk x when they fail: `found` decides.
         if not solution.found or solution.x is None:
-            raise _SolverFailedError(f"{self.name} found no solution")
+            raise SolverFailedError(f"{self.name} found no solution")
         x = np.asarray(solution.x, dtype=float)
         if x.shape != problem.q.shape or not np.isfinite(x).all():
-            raise _SolverFailedError(f"{self.name} returned values that are not finite")
+            raise SolverFailedError(f"{self.name} returned values that are not finite")
         return x
 
 

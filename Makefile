@@ -1,0 +1,45 @@
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/.ready
+
+export OPENBLAS_NUM_THREADS := 1
+export OMP_NUM_THREADS := 1
+
+.PHONY: setup compare test lint types unit readme lock clean
+
+setup: $(READY)
+
+$(READY): requirements.lock pyproject.toml
+	$(PYTHON) -m venv --clear .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $(READY)
+
+# The main job: every solver on the same windings; the table, and Parquet, Markdown and JSON in results/.
+compare: setup
+	mkdir -p results
+	$(BIN)/prioritized-ik compare --out results/compare --json results/compare.json
+
+test: lint types unit
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: setup
+	$(BIN)/mypy
+
+unit: setup
+	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/python -m pytest
+
+# What the README shows: its table and its picture.
+readme: setup
+	$(BIN)/prioritized-ik compare --readme README.md
+	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/prioritized-ik wind --tilt 0.3 --record docs/wound.png
+
+lock:
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
+	    --extra solvers --extra dev pyproject.toml --output-file requirements.lock
+
+clean:
+	rm -rf .venv results

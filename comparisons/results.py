@@ -1,0 +1,97 @@
+"""Writes what a comparison found: Parquet for programs, Markdown for people, JSON for both. Whole files or none."""
+
+import importlib.metadata
+import json
+import os
+import platform
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import polars
+
+from comparisons.report import markdown
+from comparisons.run import Record
+from comparisons.settings import ComparisonSettings
+from comparisons.summary import Row
+from prioritized_ik.errors import InputError
+
+BEGIN, END = "<!-- table: make readme -->", "<!-- end of table -->"
+PACKAGES = ("prioritized-ik", "mujoco", "mink", "qpsolvers", "numpy", "scipy")
+
+
+def facts(settings: ComparisonSettings, rows: list[Row]) -> dict[str, Any]:
+    """Return `versions`, `cpu`, `settings` and `rows`: what the JSON file holds."""
+    versions = {"python": platform.python_version()}
+    versions |= {package: importlib.metadata.version(package) for package in PACKAGES}
+    versions |= {row.solver: row.version for row in rows if row.formulation == "lexicographic"}
+    return {
+        "versions": versions,
+        "cpu": {"model": cpu_model(), "cores": os.cpu_count(), "workers": settings.workers, "blas_threads": 1},
+        "settings": asdict(settings),
+        "rows": [asdict(row) for row in rows],
+    }
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write `content` as JSON."""
+    _write(path, lambda part: part.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"))
+
+
+def write_folder(
+    folder: Path, settings: ComparisonSettings, rows: list[Row], steps: list[Record], episodes: list[Record]
+) -> None:
+    """Write `steps`, `episodes` and `rows` as Parquet, and `table.md`, into `folder`."""
+    tables = {"steps": steps, "episodes": episodes, "rows": [asdict(row) for row in rows]}
+    for name, records in tables.items():
+        frame = polars.DataFrame(records, infer_schema_length=None)
+        _write(folder / f"{name}.parquet", frame.write_parquet)
+    text = markdown(rows, _stated(settings))
+    _write(folder / "table.md", lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def replace_table(file: Path, settings: ComparisonSettings, rows: list[Row]) -> None:
+    """Put the table of `rows` between the two markers of a Markdown file.
+
+    Raises:
+        InputError: the file has no such markers, or cannot be written.
+    """
+    before, begin, rest = file.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise InputError(f"{str(file)!r} has no place for the table; expected the lines {BEGIN!r} and {END!r}.")
+    text = f"{before}{begin}\n{markdown(rows, _stated(settings))}{end}{after}"
+    _write(file, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def _stated(settings: ComparisonSettings) -> dict[str, Any]:
+    return {
+        "CPU": cpu_model(),
+        "workers": settings.workers,
+        "accuracy": f"{settings.accuracy:g}",
+        "rank tolerance": f"{settings.rank_tolerance:g}",
+        "damping": f"{settings.damping:g}",
+        "preconditioning": "whitened residual (`solve/stages.py`)",
+    }
+
+
+def cpu_model() -> str:
+    """Return the processor's name, as far as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def _write(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file through a neighbour that replaces it once it is whole."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        write(part)
+        part.replace(path)
+    except OSError as error:
+        raise InputError(f"cannot write {str(path)!r} ({error}); choose a place that is writable.") from error
+    finally:
+        part.unlink(missing_ok=True)

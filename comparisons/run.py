@@ -1,0 +1,227 @@
+"""Runs a comparison: records one episode a direction, then replays and drives with every solver, in processes.
+
+*Replay*: every solver is given the same recorded problems. *Drive*: every solver winds the arm itself.
+"""
+
+import functools
+import multiprocessing
+import os
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import threadpoolctl
+
+from comparisons.mink_today import MinkSolver
+from comparisons.settings import MINK_SOLVERS, RECORDER, ComparisonSettings
+from prioritized_ik.problem import IKProblem, Level
+from prioritized_ik.solve.backends.registry import get_backend
+from prioritized_ik.solve.closed_form import (
+    rank_decomposition_svd,
+    resulting_displacement,
+    strict_solution,
+)
+from prioritized_ik.solve.lexicographic import ACCEPTED_VIOLATION, joint_step
+from prioritized_ik.solve.step import JointStep
+from prioritized_ik.validation import Array
+from prioritized_ik.winding.episode import Episode, Solve, wind
+from prioritized_ik.winding.metrics import measure
+from prioritized_ik.winding.settings import CLOSED_FORM
+
+Record = dict[str, Any]
+Progress = Callable[[str, int, int], None]  # what is done, how many are, of how many
+
+#: Solver names of mink's rows.
+MINK_ROWS = {f"mink ({solver})": solver for solver in MINK_SOLVERS}
+
+#: These take longest, so they start first.
+_SLOW = ("ecos", "clarabel", "scs", "highs", "cvxopt")
+
+#: A step whose closed form breaks no row by more than this (its own rounding) is free.
+FREE = 1e-12
+
+
+@dataclass(frozen=True)
+class Job:
+    """One thing a worker does: replay all recorded problems, or drive one direction."""
+
+    kind: str  # "replay" or "drive"
+    solver: str
+    formulation: str
+    directions: tuple[str, ...]
+
+    @property
+    def label(self) -> str:
+        """What the progress bar shows."""
+        return f"{self.kind} {self.solver}" + ("" if self.formulation == "lexicographic" else f" {self.formulation}")
+
+
+def run(settings: ComparisonSettings, folder: Path, progress: Progress) -> tuple[list[Record], list[Record]]:
+    """Return the replayed steps and the driven episodes, one record each, in a fixed order.
+
+    Args:
+        settings: what to run.
+        folder: where the recorded episodes go, `<direction>.npz`.
+        progress: called as jobs end.
+    """
+    # Fresh interpreters: a fork would copy the threads of the parent's libraries in whatever state they are. The thread
+    # counts are set before they start, because some libraries read them only once.
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    with ProcessPoolExecutor(settings.workers, multiprocessing.get_context("spawn"), _one_thread) as pool:
+        recorded = [pool.submit(record_episode, settings, direction, folder) for direction in settings.directions]
+        for done, episode in enumerate(as_completed(recorded), 1):
+            episode.result()
+            progress("record", done, len(recorded))
+        todo = jobs(settings)
+        futures: dict[Future[list[Record]], Job] = {
+            pool.submit(replay if job.kind == "replay" else drive, settings, job, folder): job for job in todo
+        }
+        for done, future in enumerate(as_completed(futures), 1):
+            future.result()
+            progress(futures[future].label, done, len(todo))
+    results = [(job, future.result()) for future, job in futures.items()]
+    results.sort(key=lambda item: (item[0].kind, item[0].solver, item[0].formulation, item[0].directions))
+    return (
+        [record for job, records in results if job.kind == "replay" for record in records],
+        [record for job, records in results if job.kind == "drive" for record in records],
+    )
+
+
+def jobs(settings: ComparisonSettings) -> list[Job]:
+    """Return everything to do, the longest first."""
+    todo = [
+        Job("replay", solver, formulation, settings.directions)
+        for solver in settings.solvers
+        for formulation in settings.formulations
+    ]
+    todo += [Job("replay", name, "mink", settings.directions) for name in MINK_ROWS]
+    drivers = [(solver, "lexicographic") for solver in settings.solvers if "lexicographic" in settings.formulations]
+    drivers += [(CLOSED_FORM, "closed form"), *((name, "mink") for name in MINK_ROWS)]
+    todo += [Job("drive", name, formulation, (d,)) for name, formulation in drivers for d in settings.directions]
+    return sorted(todo, key=lambda job: _SLOW.index(job.solver) if job.solver in _SLOW else len(_SLOW))
+
+
+def record_episode(settings: ComparisonSettings, direction: str, folder: Path) -> None:
+    """Wind one direction with the recorder and save the episode."""
+    wind(settings.winding(direction, RECORDER)).save(folder / f"{direction}.npz")
+
+
+def replay(settings: ComparisonSettings, job: Job, folder: Path) -> list[Record]:
+    """Return one record for each sampled problem of each direction, solved by the job's solver."""
+    records = []
+    for direction in job.directions:
+        sample = _sample(folder / f"{direction}.npz", settings.steps, settings.rank_tolerance)
+        solve = _solver(settings, job, direction)
+        for item in sample:
+            step = solve(item.problem, item.q)
+            records.append({"direction": direction, "step": item.step, **_judge(item, step), **_names(job)})
+    return records
+
+
+def drive(settings: ComparisonSettings, job: Job, folder: Path) -> list[Record]:
+    """Return the record of one episode that the job's solver drives itself."""
+    del folder
+    (direction,) = job.directions
+    solver = CLOSED_FORM if job.solver == CLOSED_FORM else RECORDER
+    episode = wind(
+        settings.winding(direction, solver),
+        None if job.solver == CLOSED_FORM else _solver(settings, job, direction),
+    )
+    outcome = {"outcome": episode.outcome.name, "message": episode.message}
+    return [{"direction": direction, **asdict(measure(episode)), **outcome, **_names(job)}]
+
+
+def _one_thread() -> None:
+    threadpoolctl.threadpool_limits(1)
+
+
+def _names(job: Job) -> Record:
+    return {"solver": job.solver, "formulation": job.formulation}
+
+
+def _solver(settings: ComparisonSettings, job: Job, direction: str) -> Solve:
+    if job.solver in MINK_ROWS:
+        return MinkSolver(settings.winding(direction, RECORDER), MINK_ROWS[job.solver])
+    backend = get_backend(job.solver, settings.accuracy)
+    options = settings.options(job.formulation)
+    return lambda problem, _: joint_step(problem, backend, options)
+
+
+@dataclass(frozen=True)
+class _Sampled:
+    """A recorded problem and what the closed form says of it."""
+
+    step: int
+    problem: IKProblem
+    level: Level  # the problem's, its matrix cut to the rank that all solvers share
+    q: Array
+    dtheta: Array  # Eqs. (12) to (14)
+    dx: Array  # Eq. (15)
+    free: bool
+
+
+@functools.cache
+def _sample(path: Path, steps: int, rank_tolerance: float) -> list[_Sampled]:
+    """Return up to `steps` problems of an episode, evenly spaced, half of them free as far as there are so many."""
+    episode = Episode.load(path)
+    everything = [_sampled(episode, step, rank_tolerance) for step in range(episode.steps)]
+    free = [item for item in everything if item.free]
+    bound = [item for item in everything if not item.free]
+    frees = _spread(free, max(steps // 2, steps - len(bound)))
+    return sorted([*frees, *_spread(bound, steps - len(frees))], key=lambda item: item.step)
+
+
+def _sampled(episode: Episode, step: int, rank_tolerance: float) -> _Sampled:
+    problem = episode.problem(step)
+    level = problem.levels[0]
+    dtheta = strict_solution(problem.levels, problem.reference, rank_tolerance)
+    factors = rank_decomposition_svd(level.matrix, rank_tolerance)
+    return _Sampled(
+        step,
+        problem,
+        Level(factors.j_a @ factors.j_b, level.target, level.weights),
+        episode.q[step],
+        dtheta,
+        resulting_displacement(factors.j_a, level.weights, level.target),
+        problem.relative_violation(dtheta) <= FREE,
+    )
+
+
+def _spread(items: list[_Sampled], count: int) -> list[_Sampled]:
+    """Return `count` of `items`, evenly spaced."""
+    if count >= len(items):
+        return items
+    return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]
+
+
+def _judge(item: _Sampled, step: JointStep) -> Record:
+    """Return the figures of one step, every one computed from the problem and none taken from the solver."""
+    level = item.level
+    record: Record = {
+        "free": item.free,
+        "status": step.status.name,
+        "message": step.message,
+        "found": step.found,
+        "solve_s": step.timings.build + step.timings.solve,
+        "violation": None,
+        "cost": None,
+        "cost_at_zero": level.cost(np.zeros_like(item.dtheta)),
+        "dtheta_error": None,
+        "dx_error": None,
+    }
+    if step.dtheta is None:
+        record["violation"] = step.violation if step.violation > ACCEPTED_VIOLATION else None
+        return record
+    record["violation"] = item.problem.relative_violation(step.dtheta)
+    record["cost"] = level.cost(step.dtheta)
+    if item.free:
+        record["dtheta_error"] = _relative(step.dtheta, item.dtheta)
+        record["dx_error"] = _relative(level.matrix @ step.dtheta, item.dx)
+    return record
+
+
+def _relative(value: Array, reference: Array) -> float:
+    return float(np.linalg.norm(value - reference) / np.linalg.norm(reference))

@@ -1,0 +1,157 @@
+"""`prioritized-ik`: the command line. Commands of other packages join by the entry point `prioritized_ik.commands`.
+
+Nothing heavy is imported before a command runs, so that `--help` answers at once.
+"""
+
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import click
+
+from prioritized_ik.errors import PrioritizedIkError
+
+DONE, DISAGREES, BAD_INPUT = 0, 1, 2
+
+
+class BadInput(click.ClickException):
+    """An error of this package, as one message."""
+
+    exit_code = BAD_INPUT
+
+
+class CommandGroup(click.Group):
+    """A group that finds commands of other packages, and turns this package's errors into exit code 2."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of its own commands and of those that joined."""
+        return sorted({*super().list_commands(ctx), *entry_points(group="prioritized_ik.commands").names})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return the command called `cmd_name`, loading it if it joined by entry point."""
+        own = super().get_command(ctx, cmd_name)
+        if own is not None:
+            return own
+        for entry in entry_points(group="prioritized_ik.commands", name=cmd_name):
+            command: click.Command = entry.load()
+            return command
+        return None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; an error of this package is one message and exit code 2."""
+        try:
+            return super().invoke(ctx)
+        except PrioritizedIkError as error:
+            raise BadInput(str(error)) from error
+
+
+@click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"], "show_default": True})
+@click.version_option(package_name="prioritized-ik")
+def main() -> None:
+    """Prioritized inverse kinematics on MuJoCo: exact, constrained, with whichever QP solver you like.
+
+    Exit codes: 0 done; 1 done, and something that must agree does not; 2 bad usage or input.
+    """
+
+
+@main.command()
+@click.option("--direction", default="up", help="Where the object comes from: up, down, front or back.")
+@click.option("--solver", default="daqp", help="A QP solver (see `solvers`), or closed-form for Eqs. 12-14 alone.")
+@click.option("--formulation", default="lexicographic", help="lexicographic (exact) or damped.")
+@click.option("--weights", default="eq23", help="Weights of the free links: eq23 or eq24.")
+@click.option("--links", default=17, help="Number of links n.")
+@click.option("--link", default=6, help="The link k that touches the object first.")
+@click.option("--shape", default="cylinder", help="cylinder, capsule or sphere.")
+@click.option("--diameter", default=0.14, help="Diameter of the object [m].")
+@click.option("--tilt", default=0.0, help="Tilt of the object's axis [rad]; not zero winds a helix.")
+@click.option("--posture", default="straight", help="Initial posture: straight, arched or random.")
+@click.option("--seed", default=0, help="Seed of a random posture.")
+@click.option("--limits/--no-limits", default=True, help="Keep joint ranges and the step limit.")
+@click.option("--contacts/--no-contacts", default=True, help="Keep links out of the object.")
+@click.option("--steps", default=1500, help="End after this many steps without equilibrium.")
+@click.option("--save", type=click.Path(dir_okay=False), help="Save the episode to this .npz file.")
+@click.option("--record", type=click.Path(dir_okay=False), help="Picture of the end (.png), or of the winding (.gif).")
+def wind(
+    direction: str,
+    solver: str,
+    formulation: str,
+    weights: str,
+    links: int,
+    link: int,
+    shape: str,
+    diameter: float,
+    tilt: float,
+    posture: str,
+    seed: int,
+    limits: bool,
+    contacts: bool,
+    steps: int,
+    save: str | None,
+    record: str | None,
+) -> None:
+    """Wind the arm around an object by touch alone, and print how it went."""
+    from prioritized_ik.models import Arm
+    from prioritized_ik.solve.lexicographic import SolveOptions
+    from prioritized_ik.validation import one_of, positive
+    from prioritized_ik.winding.episode import Outcome
+    from prioritized_ik.winding.episode import wind as run
+    from prioritized_ik.winding.metrics import ROUND_SHAPES, measure
+    from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
+
+    one_of("shape", shape, ROUND_SHAPES)
+    radius = positive("diameter", diameter) / 2.0
+    for path in (save, record):
+        if path is not None:
+            writable_folder(Path(path).parent)
+    free = solver == CLOSED_FORM  # the closed form knows no limits
+    settings = WindingSettings(
+        arm=Arm(links=links),
+        shape=shape,
+        size=(radius,) if shape == "sphere" else (radius, 0.5),
+        direction=direction,
+        link=link,
+        tilt=tilt,
+        posture=posture,
+        seed=seed,
+        weights=weights,
+        limits=limits and not free,
+        contacts=contacts and not free,
+        max_steps=steps,
+        solver=solver,
+        options=SolveOptions(formulation=formulation),
+    )
+    episode = run(settings)
+    metrics = measure(episode)
+    click.echo(f"outcome      {episode.outcome.value}")
+    if episode.message:
+        click.echo(f"             {episode.message}")
+    click.echo(f"steps        {metrics.steps}")
+    click.echo(f"turns        {metrics.turns:.3f} ({metrics.turns_ratio:.3f} of the ideal)")
+    click.echo(f"penetration  {metrics.penetration * 1e3:.2f} mm")
+    click.echo(f"bend         {metrics.bend:.3f} rad")
+    click.echo(f"drift        {metrics.drift * 1e3:.2f} mm")
+    if save is not None:
+        episode.save(save)
+        click.echo(f"saved        {save}")
+    if record is not None:
+        from prioritized_ik.winding.picture import record as draw
+
+        draw(episode, record)
+        click.echo(f"recorded     {record}")
+    if episode.outcome is not Outcome.WOUND:
+        raise SystemExit(DISAGREES)
+
+
+def writable_folder(folder: Path) -> Path:
+    """Return `folder` if files can be written into it.
+
+    Raises:
+        PrioritizedIkError: it is not a folder, or not writable.
+    """
+    import os
+
+    from prioritized_ik.errors import InputError
+
+    if not folder.is_dir() or not os.access(folder, os.W_OK):
+        raise InputError(f"cannot write into {str(folder)!r}; expected a folder that exists and is writable.")
+    return folder

@@ -1,0 +1,456 @@
+"""The closed form, Eqs. (6) to (17), against oracles that share no code with it."""
+
+from collections.abc import Callable, Iterator
+
+import mpmath as mp
+import numpy as np
+import pytest
+from conftest import Bench, relative_error
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tolerances import ORACLE, ROUNDING, SABOTAGE
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.models import PLANAR_ARM
+from prioritized_ik.problem import Level
+from prioritized_ik.solve.closed_form import (
+    RankDecomposition,
+    TaskCase,
+    general_solution,
+    minimum_norm_solution,
+    null_space,
+    overconstrained_solution,
+    rank_decomposition_qr,
+    rank_decomposition_svd,
+    redundant_solution,
+    resulting_displacement,
+    strict_solution,
+    task_case,
+    weighted_cost,
+    weighted_optimum,
+)
+from prioritized_ik.weights import FREE, diagonal_of_weights, winding_weights
+
+FACTORISATIONS = [rank_decomposition_svd, rank_decomposition_qr]
+Request = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def norm_error(found: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+
+
+def requests(bench: Bench, kind: str, count: int, seed: int) -> Iterator[Request]:
+    """J, diag W and dX* as in winding: links 1 … k hold the object and arm k + 1 alone is asked to move 4 mm."""
+    rng = np.random.default_rng([seed, len(kind)])
+    for q in bench.general_poses(count, seed):
+        k = int(rng.integers(1, 17))
+        desired = np.zeros((17, 3))
+        desired[k] = rng.normal(size=3)
+        desired *= 4e-3 / np.linalg.norm(desired)
+        yield bench.jacobian(q), diagonal_of_weights(winding_weights(k, 17, kind), 3), desired.ravel()
+
+
+def eqs_12_and_14(factors: RankDecomposition, weights: np.ndarray, desired: np.ndarray) -> np.ndarray:
+    return minimum_norm_solution(factors.j_b, weighted_optimum(factors.j_a, weights, desired))
+
+
+def svd_oracle(jacobian: np.ndarray, weights: np.ndarray, desired: np.ndarray) -> np.ndarray:
+    """(W^½J)⁺ W^½ dX* of rank 34."""
+    root = np.sqrt(weights)
+    u, s, vt = np.linalg.svd(root[:, None] * jacobian)
+    return vt[:34].T @ ((u[:, :34].T @ (root * desired)) / s[:34])
+
+
+exactly = np.vectorize(mp.mpf, otypes=[object])
+
+
+def exact_tangents(direction: np.ndarray) -> np.ndarray:
+    """Two directions `(3, 2)` square to `direction`, in 50 digits."""
+    first = np.cross(direction, exactly(np.eye(3)[np.argmin(np.abs(direction.astype(float)))]))
+    second = np.cross(direction, first)
+    return np.column_stack([first / mp.sqrt(first @ first), second / mp.sqrt(second @ second)])
+
+
+def exact_spd_solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve by Cholesky, in whatever precision the entries have."""
+    rest, x, n = matrix.copy(), right.copy(), len(right)
+    factor = np.zeros((n, n), dtype=object)
+    for j in range(n):
+        factor[j, j] = mp.sqrt(rest[j, j])
+        factor[j + 1 :, j] = rest[j + 1 :, j] / factor[j, j]
+        rest[j + 1 :, j + 1 :] -= np.outer(factor[j + 1 :, j], factor[j + 1 :, j])
+    for i in range(n):
+        x[i] = (x[i] - factor[i, :i] @ x[:i]) / factor[i, i]
+    for i in reversed(range(n)):
+        x[i] = (x[i] - factor[i + 1 :, i] @ x[i + 1 :]) / factor[i, i]
+    return x
+
+
+def exact_oracle(bench: Bench, jacobian: np.ndarray, weights: np.ndarray, desired: np.ndarray) -> np.ndarray:
+    """Eqs. (12) and (14) by their Gram matrices in 50 digits.
+
+    The factors of Eq. (6) come from geometry, not from a decomposition: relative to the link end before it, a link end
+    moves along two tangents, so that J_b holds 2·17 = 34 tangential velocities and J_a adds them up along the arm.
+    """
+    with mp.workdps(50):
+        directions = exactly(bench.data.xmat[1:].reshape(17, 3, 3)[:, :, 0])
+        blocks = exactly(jacobian).reshape(17, 3, 49)
+        j_a, j_b = exactly(np.zeros((51, 34))), exactly(np.zeros((34, 49)))
+        for i, direction in enumerate(directions):
+            tangents = exact_tangents(direction)
+            j_b[2 * i : 2 * i + 2] = tangents.T @ (blocks[i] - (blocks[i - 1] if i else 0))
+            for outer in range(i, 17):
+                j_a[3 * outer : 3 * outer + 3, 2 * i : 2 * i + 2] = tangents
+        assert np.abs((j_a @ j_b).astype(float) - jacobian).max() < ROUNDING
+        weighted = exactly(weights)[:, None] * j_a
+        dx_b = exact_spd_solve(j_a.T @ weighted, weighted.T @ exactly(desired))
+        return (j_b.T @ exact_spd_solve(j_b @ j_b.T, dx_b)).astype(float)
+
+
+# Eq. (6)
+
+
+@pytest.mark.parametrize("factorise", FACTORISATIONS)
+def test_eq6_the_factors_multiply_to_the_jacobian_and_have_full_rank(
+    paper_arm: Bench, factorise: Callable[..., RankDecomposition]
+) -> None:
+    for q in paper_arm.general_poses(20, seed=31):
+        jacobian = paper_arm.jacobian(q)
+        factors = factorise(jacobian)
+        assert (factors.j_a.shape, factors.j_b.shape) == ((51, 34), (34, 49))
+        assert relative_error(factors.j_a @ factors.j_b, jacobian) < ROUNDING
+        assert np.linalg.matrix_rank(factors.j_a) == np.linalg.matrix_rank(factors.j_b) == 34
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_eq6_the_answer_does_not_depend_on_the_factorisation(paper_arm: Bench, kind: str) -> None:
+    for jacobian, weights, _ in requests(paper_arm, kind, 50, seed=32):
+        # A request that the arm can meet: with others, the factors' own rounding is magnified (see below).
+        desired = jacobian @ np.random.default_rng(32).normal(scale=1e-3, size=49)
+        by_svd, by_qr = (eqs_12_and_14(factorise(jacobian), weights, desired) for factorise in FACTORISATIONS)
+        assert norm_error(by_qr, by_svd) < ORACLE
+
+
+@pytest.mark.parametrize("factorise", FACTORISATIONS)
+@given(rank=st.integers(0, 4), rows=st.integers(4, 7), columns=st.integers(4, 7), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, derandomize=True, deadline=None)
+def test_eq6_finds_the_rank_that_a_product_was_built_with(
+    factorise: Callable[..., RankDecomposition], rank: int, rows: int, columns: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    left, right = (np.linalg.qr(rng.normal(size=(n, n)))[0][:, :rank] for n in (rows, columns))
+    matrix = left * rng.uniform(0.5, 2.0, rank) @ right.T
+    factors = factorise(matrix)
+    assert factors.rank == rank
+    assert np.abs(factors.j_a @ factors.j_b - matrix).max() < ROUNDING
+
+
+def test_eq6_drops_singular_values_up_to_the_tolerance() -> None:
+    matrix = np.diag([1.0, 1e-3, 1e-5, 1e-7])
+    assert [rank_decomposition_svd(matrix, t).rank for t in (1e-8, 1e-6, 1e-4, 1e-2)] == [4, 3, 2, 1]
+    assert [rank_decomposition_qr(matrix, t).rank for t in (1e-8, 1e-6, 1e-4, 1e-2)] == [4, 3, 2, 1]
+
+
+def test_eq6_compares_with_another_largest_singular_value_when_given() -> None:
+    assert rank_decomposition_svd(np.diag([1e-3, 1e-4]), 1e-2, largest=1.0).rank == 0
+
+
+@pytest.mark.parametrize("bad", [0.0, 1.0, -1e-6, np.nan])
+@pytest.mark.parametrize("factorise", [*FACTORISATIONS, task_case])
+def test_a_rank_tolerance_outside_zero_to_one_is_refused(factorise: Callable[..., object], bad: float) -> None:
+    with pytest.raises(InputError, match=f"rank_tolerance is {bad!r}; expected a number between 0 and 1"):
+        factorise(np.eye(2), bad)
+
+
+# Fig. 3
+
+
+@pytest.fixture(scope="module")
+def planar() -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """J, weights and dX* of the three cases of Fig. 3."""
+    rng = np.random.default_rng(41)
+    q = rng.uniform(0.2, 0.8, 5)
+    cases = {}
+    for case, links in {"a": (3, 5), "b": (1, 2, 3, 4, 5), "c": (4, 5)}.items():
+        jacobian = Bench.of(PLANAR_ARM, "xy", [f"end_{link}" for link in links]).jacobian(q)
+        weights = diagonal_of_weights(rng.uniform(0.5, 50.0, len(links)), 2)
+        cases[case] = (jacobian, weights, rng.normal(scale=1e-3, size=len(weights)))
+    return cases
+
+
+def test_fig3a_end_points_at_links_3_and_5_are_redundant_and_eq16_applies(planar: dict[str, Request]) -> None:
+    jacobian, weights, desired = planar["a"]
+    assert jacobian.shape == (4, 5)
+    assert task_case(jacobian) is TaskCase.REDUNDANT
+    found = redundant_solution(jacobian, desired)
+    assert norm_error(found, np.linalg.pinv(jacobian) @ desired) < ROUNDING
+    assert norm_error(eqs_12_and_14(rank_decomposition_svd(jacobian), weights, desired), found) < ORACLE
+    assert norm_error(jacobian @ found, desired) < ROUNDING
+
+
+def test_fig3b_end_points_at_all_links_are_overconstrained_and_eq17_applies(planar: dict[str, Request]) -> None:
+    jacobian, weights, desired = planar["b"]
+    assert jacobian.shape == (10, 5)
+    assert task_case(jacobian) is TaskCase.OVERCONSTRAINED
+    found = overconstrained_solution(jacobian, weights, desired)
+    weighted = weights[:, None] * jacobian
+    assert norm_error(found, np.linalg.solve(jacobian.T @ weighted, weighted.T @ desired)) < ORACLE
+    assert norm_error(eqs_12_and_14(rank_decomposition_svd(jacobian), weights, desired), found) < ORACLE
+
+
+def test_fig3c_end_points_at_links_4_and_5_are_singular_and_neither_eq16_nor_eq17_applies(
+    planar: dict[str, Request],
+) -> None:
+    jacobian, weights, desired = planar["c"]
+    assert jacobian.shape == (4, 5)
+    assert rank_decomposition_svd(jacobian).rank == 3
+    assert task_case(jacobian) is TaskCase.SINGULAR
+    with pytest.raises(InputError, match=r"Eq. \(16\) needs the case REDUNDANT of Fig. 3, but J \(4, 5\) is SINGULAR"):
+        redundant_solution(jacobian, desired)
+    with pytest.raises(
+        InputError, match=r"Eq. \(17\) needs the case OVERCONSTRAINED of Fig. 3, but J \(4, 5\) is SINGULAR"
+    ):
+        overconstrained_solution(jacobian, weights, desired)
+
+
+def test_fig3c_is_solved_by_eqs_12_and_14_together(planar: dict[str, Request]) -> None:
+    jacobian, weights, desired = planar["c"]
+    root = np.sqrt(weights)
+    truth = np.linalg.pinv(root[:, None] * jacobian, rcond=1e-9) @ (root * desired)
+    for factorise in FACTORISATIONS:
+        assert norm_error(eqs_12_and_14(factorise(jacobian), weights, desired), truth) < ORACLE
+
+
+def test_eq16_refuses_the_overconstrained_and_eq17_the_redundant_case(planar: dict[str, Request]) -> None:
+    with pytest.raises(InputError, match=r"Eq. \(16\) .* is OVERCONSTRAINED"):
+        redundant_solution(planar["b"][0], planar["b"][2])
+    with pytest.raises(InputError, match=r"Eq. \(17\) .* is REDUNDANT"):
+        overconstrained_solution(*planar["a"])
+
+
+def test_eqs_16_and_17_both_apply_to_a_square_jacobian_of_full_rank() -> None:
+    rng = np.random.default_rng(42)
+    jacobian, weights, desired = rng.normal(size=(5, 5)), rng.uniform(0.5, 50.0, 5), rng.normal(size=5)
+    truth = np.linalg.solve(jacobian, desired)
+    assert norm_error(redundant_solution(jacobian, desired), truth) < ORACLE
+    assert norm_error(overconstrained_solution(jacobian, weights, desired), truth) < ORACLE
+
+
+def test_the_paper_arm_is_always_the_singular_case(paper_arm: Bench) -> None:
+    assert all(task_case(paper_arm.jacobian(q)) is TaskCase.SINGULAR for q in paper_arm.general_poses(20, seed=43))
+    assert task_case(paper_arm.jacobian(np.zeros(49))) is TaskCase.SINGULAR
+
+
+def test_eq17_solved_plainly_on_the_paper_arm_gives_a_wildly_longer_step_or_none(paper_arm: Bench) -> None:
+    for name, seed in (("arched", 0), ("random", 1), ("random", 2), ("random", 3)):
+        jacobian = paper_arm.jacobian(paper_arm.arm.posture(name, seed))
+        weights = diagonal_of_weights(winding_weights(6, 17), 3)
+        desired = np.zeros((17, 3))
+        desired[6, 2] = -4e-3
+        best = eqs_12_and_14(rank_decomposition_svd(jacobian), weights, desired.ravel())
+        weighted = weights[:, None] * jacobian
+        try:
+            plain = np.linalg.norm(np.linalg.solve(jacobian.T @ weighted, weighted.T @ desired.ravel()))
+        except np.linalg.LinAlgError:
+            plain = np.inf
+        assert np.linalg.norm(best) < 0.3
+        assert plain > 10.0 * np.linalg.norm(best)
+
+
+# Eqs. (10) to (15)
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_eqs_12_and_14_equal_the_weighted_pseudoinverse_in_200_poses(paper_arm: Bench, kind: str) -> None:
+    worst = 0.0
+    for jacobian, weights, desired in requests(paper_arm, kind, 200, seed=51):
+        # Any factors of J serve; those made from W^½J keep the accuracy that those of J lose (see below).
+        root = np.sqrt(weights)
+        factors = rank_decomposition_svd(root[:, None] * jacobian)
+        assert factors.rank == 34
+        factors = RankDecomposition(factors.j_a / root[:, None], factors.j_b)
+        truth = svd_oracle(jacobian, weights, desired)
+        worst = max(worst, norm_error(eqs_12_and_14(factors, weights, desired), truth))
+    assert worst < ORACLE
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_strict_solution_of_one_level_equals_the_weighted_pseudoinverse_in_200_poses(paper_arm: Bench, kind: str) -> None:
+    worst = max(
+        norm_error(strict_solution([Level(j, dx, w)], np.zeros(49)), svd_oracle(j, w, dx))
+        for j, w, dx in requests(paper_arm, kind, 200, seed=51)
+    )
+    assert worst < ORACLE
+
+
+@pytest.mark.parametrize("factorise", FACTORISATIONS)
+@pytest.mark.parametrize("kind", FREE)
+def test_eqs_12_and_14_meet_requests_that_can_be_met_in_200_poses(
+    paper_arm: Bench, kind: str, factorise: Callable[..., RankDecomposition]
+) -> None:
+    rng = np.random.default_rng(53)
+    for jacobian, weights, _ in requests(paper_arm, kind, 200, seed=53):
+        desired = jacobian @ rng.normal(scale=1e-3, size=49)
+        found = eqs_12_and_14(factorise(jacobian), weights, desired)
+        assert norm_error(found, svd_oracle(jacobian, weights, desired)) < ORACLE
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_eqs_12_and_14_equal_a_fifty_digit_solution_in_15_poses(paper_arm: Bench, kind: str) -> None:
+    """15 poses for each of the two weightings, the first of the 200 of the tests above: 30 in all."""
+    for jacobian, weights, desired in requests(paper_arm, kind, 15, seed=51):
+        root = np.sqrt(weights)
+        factors = rank_decomposition_svd(root[:, None] * jacobian)
+        factors = RankDecomposition(factors.j_a / root[:, None], factors.j_b)
+        truth = exact_oracle(paper_arm, jacobian, weights, desired)
+        assert norm_error(eqs_12_and_14(factors, weights, desired), truth) < ORACLE
+        assert norm_error(svd_oracle(jacobian, weights, desired), truth) < ORACLE
+
+
+def test_a_solution_with_one_weight_wrong_by_a_thousandth_fails_the_oracle(paper_arm: Bench) -> None:
+    jacobian, weights, desired = next(requests(paper_arm, "eq24", 1, seed=54))
+    wrong = weights.copy()
+    wrong[0] *= 1.0 + SABOTAGE
+    found = eqs_12_and_14(rank_decomposition_svd(jacobian), wrong, desired)
+    assert norm_error(found, svd_oracle(jacobian, weights, desired)) > ORACLE
+
+
+def test_eq10_is_the_weighted_sum_of_squares() -> None:
+    assert weighted_cost(np.eye(2), np.array([2.0, 3.0]), np.array([1.0, 1.0]), np.array([0.0, 3.0])) == 14.0
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_eq12_minimises_the_cost_of_eq10(paper_arm: Bench, kind: str) -> None:
+    rng = np.random.default_rng(55)
+    for jacobian, weights, desired in requests(paper_arm, kind, 10, seed=55):
+        j_a = rank_decomposition_svd(jacobian).j_a
+        best = weighted_optimum(j_a, weights, desired)
+        least = weighted_cost(j_a, weights, desired, best)
+        for scale in (1e-1, 1e-2, 1e-3):
+            for direction in rng.normal(size=(10, 34)):
+                other = best + scale * np.linalg.norm(best) * direction
+                assert weighted_cost(j_a, weights, desired, other) > least
+
+
+def test_eq12_of_another_weighting_costs_more_by_eq10(paper_arm: Bench) -> None:
+    jacobian, weights, desired = next(requests(paper_arm, "eq24", 1, seed=56))
+    j_a = rank_decomposition_svd(jacobian).j_a
+    least = weighted_cost(j_a, weights, desired, weighted_optimum(j_a, weights, desired))
+    unweighted = weighted_optimum(j_a, np.ones(51), desired)
+    assert weighted_cost(j_a, weights, desired, unweighted) > (1.0 + SABOTAGE) * least
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_eq13_is_the_step_nearest_to_the_reference_among_those_that_reach_dx_b(paper_arm: Bench, kind: str) -> None:
+    rng = np.random.default_rng(57)
+    for jacobian, weights, desired in requests(paper_arm, kind, 20, seed=57):
+        factors = rank_decomposition_qr(jacobian)
+        dx_b, reference = weighted_optimum(factors.j_a, weights, desired), rng.normal(scale=0.1, size=49)
+        zero = np.zeros((34, 34))
+        kkt = np.block([[np.eye(49), factors.j_b.T], [factors.j_b, zero]])
+        truth = np.linalg.solve(kkt, np.concatenate([reference, dx_b]))[:49]
+        found = general_solution(factors.j_b, dx_b, reference)
+        assert norm_error(found, truth) < ORACLE
+        assert norm_error(factors.j_b @ found, dx_b) < ORACLE
+
+
+def test_eq13_with_no_reference_is_eq14(paper_arm: Bench) -> None:
+    jacobian, weights, desired = next(requests(paper_arm, "eq23", 1, seed=58))
+    factors = rank_decomposition_qr(jacobian)
+    dx_b = weighted_optimum(factors.j_a, weights, desired)
+    least = minimum_norm_solution(factors.j_b, dx_b)
+    assert np.array_equal(general_solution(factors.j_b, dx_b, np.zeros(49)), least)
+    assert norm_error(least, np.linalg.pinv(factors.j_b) @ dx_b) < ORACLE
+
+
+def test_eq13_a_reference_along_the_null_space_is_followed_and_one_across_it_is_not() -> None:
+    j_b = np.array([[1.0, 0.0, 0.0]])
+    assert general_solution(j_b, np.array([0.5]), np.array([9.0, 2.0, 3.0])) == pytest.approx([0.5, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_eq15_is_where_the_end_points_go_under_eqs_12_and_14(paper_arm: Bench, kind: str) -> None:
+    for jacobian, weights, desired in requests(paper_arm, kind, 20, seed=59):
+        factors = rank_decomposition_svd(jacobian)
+        moved = jacobian @ eqs_12_and_14(factors, weights, desired)
+        assert norm_error(resulting_displacement(factors.j_a, weights, desired), moved) < ORACLE
+
+
+def test_eq15_gives_the_request_itself_when_it_can_be_met(planar: dict[str, Request]) -> None:
+    jacobian, weights, desired = planar["a"]
+    found = resulting_displacement(rank_decomposition_svd(jacobian).j_a, weights, desired)
+    assert norm_error(found, desired) < ORACLE
+
+
+# Strict levels
+
+
+def random_level(rng: np.random.Generator, rows: int, joints: int) -> Level:
+    return Level(rng.normal(size=(rows, joints)), rng.normal(size=rows), rng.uniform(0.5, 50.0, rows))
+
+
+def test_strict_solution_of_one_level_is_eqs_12_and_13(paper_arm: Bench) -> None:
+    jacobian, weights, desired = next(requests(paper_arm, "eq24", 1, seed=61))
+    reference = np.random.default_rng(61).normal(scale=0.1, size=49)
+    factors = rank_decomposition_svd(jacobian)
+    found = strict_solution([Level(jacobian, desired, weights)], reference)
+    truth = general_solution(factors.j_b, weighted_optimum(factors.j_a, weights, desired), reference)
+    assert norm_error(found, truth) < ORACLE
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_strict_solution_of_two_levels_is_the_null_space_formula_of_siciliano_and_slotine(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = random_level(rng, 3, 9), random_level(rng, 4, 9)
+    reference = rng.normal(size=9)
+    up = np.linalg.pinv(first.matrix)
+    dtheta = up @ first.target
+    within = second.matrix @ (np.eye(9) - up @ first.matrix)
+    dtheta = dtheta + np.linalg.pinv(within, rcond=1e-9) @ (second.target - second.matrix @ dtheta)
+    both = np.vstack([first.matrix, second.matrix])
+    truth = dtheta + (np.eye(9) - np.linalg.pinv(both) @ both) @ reference
+    assert norm_error(strict_solution([first, second], reference), truth) < ORACLE
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_strict_solution_when_the_second_level_conflicts_is_the_weighted_null_space_formula(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = random_level(rng, 4, 6), random_level(rng, 5, 6)
+    up = np.linalg.pinv(first.matrix)
+    dtheta = up @ first.target
+    root = np.sqrt(second.weights)
+    within = root[:, None] * second.matrix @ (np.eye(6) - up @ first.matrix)
+    truth = dtheta + np.linalg.pinv(within, rcond=1e-9) @ (root * (second.target - second.matrix @ dtheta))
+    found = strict_solution([first, second], np.zeros(6))
+    assert norm_error(found, truth) < ORACLE
+    assert norm_error(first.matrix @ found, first.target) < ORACLE
+
+
+def test_strict_solution_in_the_other_order_of_conflicting_levels_is_another_step() -> None:
+    rng = np.random.default_rng(62)
+    first, second = random_level(rng, 4, 6), random_level(rng, 5, 6)
+    one, other = (strict_solution(levels, np.zeros(6)) for levels in ([first, second], [second, first]))
+    assert norm_error(one, other) > SABOTAGE
+
+
+def test_strict_solution_a_second_level_that_contradicts_the_first_changes_nothing() -> None:
+    first = random_level(np.random.default_rng(63), 3, 6)
+    contrary = Level(first.matrix, -first.target)
+    alone = strict_solution([first], np.zeros(6))
+    assert norm_error(strict_solution([first, contrary], np.zeros(6)), alone) < ORACLE
+
+
+def test_strict_solution_ignores_levels_and_reference_once_no_direction_is_free() -> None:
+    rng = np.random.default_rng(64)
+    full = random_level(rng, 6, 6)
+    found = strict_solution([full, random_level(rng, 2, 6)], rng.normal(size=6))
+    assert norm_error(found, np.linalg.solve(full.matrix, full.target)) < ORACLE
+
+
+def test_null_space_is_orthonormal_and_not_felt() -> None:
+    j_b = np.random.default_rng(65).normal(size=(3, 7))
+    basis = null_space(j_b)
+    assert basis.shape == (7, 4)
+    assert np.abs(j_b @ basis).max() < ROUNDING
+    assert np.abs(basis.T @ basis - np.eye(4)).max() < ROUNDING
+    assert np.array_equal(null_space(np.zeros((0, 3))), np.eye(3))

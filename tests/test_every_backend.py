@@ -1,0 +1,262 @@
+import numpy as np
+import pytest
+import qpsolvers
+from winding_fixtures import QP_ONLY, constrained_steps, free_steps
+
+from prioritized_ik.errors import InputError, SolverUnavailableError
+from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
+from prioritized_ik.solve.backends import qpsolvers_
+from prioritized_ik.solve.backends.abilities import ABILITIES, abilities_of
+from prioritized_ik.solve.backends.qpsolvers_ import QpsolversBackend
+from prioritized_ik.solve.backends.registry import get_backend, installed_solvers, known_solvers
+from prioritized_ik.solve.closed_form import strict_solution
+from prioritized_ik.solve.lexicographic import SolveOptions, first_stage, joint_step, solve
+from prioritized_ik.solve.step import StepStatus
+
+TEN = ["clarabel", "cvxopt", "daqp", "highs", "osqp", "piqp", "proxqp", "qpalm", "quadprog", "scs"]
+ELEVEN = [*TEN, "ecos"]
+
+CLOSED_FORM_ERROR = 1e-6  # of a joint step, relative: what the ten promise on a free step
+ECOS_ERROR = 1e-5  # ECOS minimises through an epigraph cone, which blurs the answer to the root of its tolerance
+BROKEN = 1e-6  # of a row, relative to the step: what is accepted
+COST_GAP = 1e-6  # of a level's cost, relative to standing still
+JUDGES = ("daqp", "proxqp", "clarabel")  # an active-set, a proximal and an interior-point method
+
+
+def worst_free_error(name: str) -> float:
+    backend, errors = get_backend(name), []
+    for problem in free_steps():
+        wanted = strict_solution(problem.levels, problem.reference)
+        step = joint_step(problem, backend, QP_ONLY)
+        assert step.status is StepStatus.SOLVED, step.message
+        errors.append(np.linalg.norm(step.dtheta - wanted) / np.linalg.norm(wanted))
+    return max(errors)
+
+
+@pytest.fixture(scope="module")
+def best_costs() -> list[float]:
+    """The lowest level-1 cost that any judge reaches at each constrained step."""
+    judges = [get_backend(name) for name in JUDGES]
+    return [min(joint_step(problem, judge, QP_ONLY).costs[0] for judge in judges) for problem in constrained_steps()]
+
+
+def test_the_steps_to_judge_by_are_free_and_constrained_as_they_should_be():
+    assert (len(free_steps()), len(constrained_steps())) == (12, 8)
+    assert all(solve(problem, "daqp", QP_ONLY).tight_rows for problem in constrained_steps())
+
+
+def test_every_solver_of_the_table_of_eleven_is_installed():
+    assert set(ELEVEN) <= set(qpsolvers.available_solvers)
+
+
+@pytest.mark.parametrize("name", TEN)
+def test_a_free_step_is_the_closed_form(name):
+    assert worst_free_error(name) <= CLOSED_FORM_ERROR
+
+
+def test_a_free_step_of_ecos_is_the_closed_form_to_its_own_bound():
+    assert worst_free_error("ecos") <= ECOS_ERROR
+
+
+@pytest.mark.parametrize("name", ELEVEN)
+def test_a_constrained_step_keeps_every_row(name):
+    backend = get_backend(name)
+    for problem in constrained_steps():
+        step = joint_step(problem, backend, QP_ONLY)
+        assert step.status is StepStatus.SOLVED, step.message
+        assert problem.relative_violation(step.dtheta) <= BROKEN
+
+
+@pytest.mark.parametrize("name", ELEVEN)
+def test_a_constrained_step_is_as_good_as_the_best(name, best_costs):
+    backend = get_backend(name)
+    for problem, best in zip(constrained_steps(), best_costs, strict=True):
+        still = problem.levels[0].cost(np.zeros(problem.joint_count))
+        assert joint_step(problem, backend, QP_ONLY).costs[0] <= best + COST_GAP * still
+
+
+def test_the_free_steps_tell_a_solver_that_is_off_by_a_hundred_thousandth(monkeypatch):
+    exact = qpsolvers_.qpsolvers.solve_problem
+
+    def slightly_off(problem, solver, **options):
+        solution = exact(problem, solver, **options)
+        solution.x = solution.x * (1.0 + 1e-5)
+        return solution
+
+    monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", slightly_off)
+    assert worst_free_error("daqp") > CLOSED_FORM_ERROR
+
+
+@pytest.mark.parametrize("name", ELEVEN)
+def test_a_level_that_presses_into_a_corner_is_solved(name):
+    # The two rows leave the second joint no room once the first is at its best: no interior for the last stage.
+    rows = Rows([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0]], [1.0, 1.0])
+    problem = IKProblem([Level([[1.0, 0.0, 0.0]], [5.0])], rows=rows, reference=[0.0, 0.7, -0.4])
+    assert solve(problem, name, QP_ONLY).dtheta == pytest.approx([1.0, 0.0, -0.4], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ELEVEN)
+def test_two_strict_levels_with_a_reference_are_solved(name):
+    levels = [Level([[1.0, 1.0, 0.0]], [1.0]), Level([[1.0, 0.0, 0.0]], [5.0])]
+    problem = IKProblem(levels, Bounds([-2.0, -0.5, -2.0], [2.0, 2.0, 0.3]), reference=[0.0, 0.0, 0.7])
+    assert solve(problem, name, QP_ONLY).dtheta == pytest.approx([1.5, -0.5, 0.3], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ELEVEN)
+def test_rows_without_a_common_point_are_a_failure_and_not_a_step(name):
+    problem = IKProblem([Level([[1.0, 0.0]], [5.0])], rows=Rows([[1.0, 0.0], [-1.0, 0.0]], [-1.0, -1.0]))
+    step = joint_step(problem, get_backend(name), SolveOptions())
+    assert step.dtheta is None
+    assert step.status in (StepStatus.NOT_FOUND, StepStatus.VIOLATED)
+
+
+@pytest.mark.parametrize("name", ELEVEN)
+def test_a_row_of_zeros_binds_nothing(name):
+    rows = Rows([[0.0, 0.0], [1.0, 0.0]], [1.0, 0.5])
+    step = solve(IKProblem([Level(np.eye(2), [1.0, 1.0])], rows=rows), name)
+    assert step.dtheta == pytest.approx([0.5, 1.0], abs=1e-6)
+
+
+def test_every_solver_has_its_row_in_the_table_of_abilities():
+    assert set(ELEVEN) <= ABILITIES.keys()
+    assert not any(ABILITIES[name].on_request for name in ELEVEN)
+
+
+@pytest.mark.parametrize("name", ABILITIES)
+def test_the_flags_of_the_table_are_booleans_and_its_zooms_shrink(name):
+    abilities = ABILITIES[name]
+    flags = (abilities.semidefinite, abilities.sparse, abilities.warm_start, abilities.on_request)
+    assert all(type(flag) is bool for flag in flags)
+    assert all(0.0 < zoom < 1.0 for zoom in abilities.zooms)
+    assert list(abilities.zooms) == sorted(abilities.zooms, reverse=True)
+
+
+@pytest.mark.parametrize("name", ABILITIES)
+def test_an_accuracy_becomes_a_dictionary_of_options(name):
+    assert isinstance(ABILITIES[name].options(1e-8), dict)
+
+
+@pytest.mark.parametrize("name", ELEVEN)
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-8])
+def test_the_solver_takes_the_tables_options(name, accuracy):
+    level = Level([[1.0, 1.0], [1.0, -1.0]], [1.0, 0.0])
+    stage = first_stage(IKProblem([level], Bounds([-1.0, -1.0], [0.25, 1.0])), QP_ONLY)
+    result = QpsolversBackend(name, accuracy).solve(stage)
+    assert result.x is not None, result.message
+    # min (1 - x - y)² + (x - y)² with x <= 1/4: y = 1/2.
+    assert stage.dtheta(result.x) == pytest.approx([0.25, 0.5], abs=10.0 * accuracy**0.5)
+
+
+def test_a_solver_outside_the_table_is_handled_with_care():
+    abilities = abilities_of("newcomer")
+    assert (abilities.package, abilities.semidefinite, abilities.sparse) == ("newcomer", False, False)
+    assert abilities.on_request
+
+
+def test_an_unknown_solver_is_refused_with_the_list_of_those_installed():
+    with pytest.raises(SolverUnavailableError, match="unknown solver 'sorcery'; choose one of: ") as caught:
+        get_backend("sorcery")
+    assert all(name in str(caught.value) for name in installed_solvers(on_request=True))
+
+
+def test_a_solver_that_is_not_installed_is_refused_with_the_command_that_installs_it(monkeypatch):
+    monkeypatch.setattr(qpsolvers, "available_solvers", [name for name in TEN if name not in ("scs", "highs")])
+    with pytest.raises(SolverUnavailableError, match="'scs' is not installed; install it with: pip install scs "):
+        get_backend("scs")
+    with pytest.raises(SolverUnavailableError, match="pip install highspy "):
+        get_backend("highs")
+
+
+def test_a_solver_that_is_not_installed_stays_known(monkeypatch):
+    monkeypatch.setattr(qpsolvers, "available_solvers", ["daqp"])
+    assert "scs" in known_solvers()
+    assert installed_solvers() == ["daqp"]
+
+
+def test_solvers_on_request_are_listed_only_on_request(monkeypatch):
+    monkeypatch.setattr(qpsolvers, "available_solvers", ["daqp", "kvxopt"])
+    assert installed_solvers() == ["daqp"]
+    assert installed_solvers(on_request=True) == ["daqp", "kvxopt"]
+
+
+@pytest.mark.parametrize("accuracy", [0.0, -1e-8, 0.2, np.nan, np.inf])
+def test_an_accuracy_out_of_range_is_refused(accuracy):
+    with pytest.raises(InputError, match=rf"accuracy is {accuracy}; expected a number above 0 and at most 0\.1"):
+        get_backend("daqp", accuracy)
+
+
+@pytest.mark.parametrize("name", ELEVEN)
+def test_the_version_of_an_installed_solver_is_known(name):
+    assert get_backend(name).version[0].isdigit()
+
+
+def test_the_version_of_a_solver_without_package_is_unknown():
+    assert QpsolversBackend("newcomer", 1e-8).version == "unknown"
+
+
+class Answers:
+    """Stands in for `qpsolvers.solve_problem`."""
+
+    def __init__(self, x, *, found=True, error=None):
+        self.x, self.found, self.error = x, found, error
+
+    def __call__(self, problem, solver, **options):
+        if self.error is not None:
+            raise self.error
+        solution = qpsolvers.Solution(problem)
+        solution.found, solution.x = self.found, self.x
+        return solution
+
+
+STAGE = first_stage(IKProblem([Level(np.eye(2), [1.0, 1.0])]), QP_ONLY)
+FAILURES = {
+    "not found": (Answers(np.ones(2), found=False), "proxqp found no solution"),
+    "no x": (Answers(None), "proxqp found no solution"),
+    "nan": (Answers(np.array([1.0, np.nan])), "proxqp returned values that are not finite"),
+    "inf": (Answers(np.array([1.0, np.inf])), "proxqp returned values that are not finite"),
+    "qpsolvers": (Answers(None, error=qpsolvers.exceptions.ProblemError("bad")), "proxqp raised ProblemError: bad"),
+    "lapack": (Answers(None, error=np.linalg.LinAlgError("singular")), "proxqp raised LinAlgError: singular"),
+    "division": (Answers(None, error=ZeroDivisionError("by zero")), "proxqp raised ZeroDivisionError: by zero"),
+    "value": (Answers(None, error=ValueError("rank")), r"proxqp raised ValueError: rank"),
+    "binding": (Answers(None, error=RuntimeError("C++")), "proxqp raised RuntimeError: C++"),
+}
+
+
+@pytest.mark.parametrize(("answers", "message"), FAILURES.values(), ids=FAILURES.keys())
+def test_a_failure_of_the_solver_is_a_result_without_x(answers, message, monkeypatch):
+    monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", answers)
+    result = QpsolversBackend("proxqp", 1e-8).solve(STAGE)
+    assert (result.x, result.message, result.calls) == (None, message, 1)
+
+
+@pytest.mark.parametrize("error", [KeyError("bug"), TypeError("bug"), AttributeError("bug")])
+def test_a_bug_passes_through(error, monkeypatch):
+    monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", Answers(None, error=error))
+    with pytest.raises(type(error)):
+        QpsolversBackend("proxqp", 1e-8).solve(STAGE)
+
+
+def test_the_answer_stays_when_only_its_refinement_fails(monkeypatch):
+    exact, calls = qpsolvers_.qpsolvers.solve_problem, []
+
+    def once(problem, solver, **options):
+        calls.append(solver)
+        return exact(problem, solver, **options) if len(calls) == 1 else Answers(None, found=False)(problem, solver)
+
+    monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", once)
+    result = QpsolversBackend("proxqp", 1e-8).solve(STAGE)
+    assert STAGE.dtheta(result.x) == pytest.approx([1.0, 1.0], abs=1e-6)
+    assert result.calls == 2
+
+
+def test_the_damped_qp_is_solved_as_it_stands(monkeypatch):
+    exact, seen = qpsolvers_.qpsolvers.solve_problem, []
+
+    def watched(problem, solver, **options):
+        seen.append(problem)
+        return exact(problem, solver, **options)
+
+    monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", watched)
+    stage = first_stage(constrained_steps()[0], SolveOptions("damped"))
+    assert QpsolversBackend("proxqp", 1e-8).solve(stage).calls == 1
+    assert seen == [stage.problem]

@@ -1,0 +1,144 @@
+"""Imports run one way: each layer imports only what stands before it, deferred imports included."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import prioritized_ik
+
+PACKAGE = "prioritized_ik"
+ROOT = Path(prioritized_ik.__file__).parent
+
+#: A layer imports those before it; the entries of one layer do not import each other.
+LAYERS = [
+    {"errors"},
+    {"validation"},
+    {"models"},
+    {"virtual_arms"},
+    {"touch", "problem", "weights"},
+    {"limits"},
+    {"solve"},
+    {"winding"},
+    {"cli", "comparisons", "paper_repro"},
+]
+RANK = {part: rank for rank, layer in enumerate(LAYERS) for part in layer}
+
+
+def _sources() -> dict[str, str]:
+    """Every module's dotted name below the package, and its text; the package's own lazy `__init__` aside."""
+    names = {}
+    for path in sorted(ROOT.rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        parts = parts[:-1] if parts[-1] == "__init__" else parts
+        if parts:
+            names[".".join(parts)] = path.read_text(encoding="utf-8")
+    return names
+
+
+def _imported(module: str, text: str) -> set[str]:
+    """Absolute dotted names that a module's text imports, at whatever depth the statement stands."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            parents = [PACKAGE, *module.split(".")][: -node.level or None]
+            base = node.module if not node.level else ".".join([*parents, *([node.module] if node.module else [])])
+            found |= {base} | {f"{base}.{alias.name}" for alias in node.names}
+    return found
+
+
+def _part(name: str) -> str | None:
+    """The part of the house that a dotted name belongs to, or None for another library."""
+    top, _, rest = name.partition(".")
+    if top in ("comparisons", "paper_repro"):
+        return top
+    return rest.split(".")[0] if top == PACKAGE and rest else None
+
+
+def _wrong_ways(sources: dict[str, str]) -> list[str]:
+    """Every import that does not run backwards along the layers."""
+    wrong = []
+    for module, text in sources.items():
+        own = module.split(".")[0]
+        for name in sorted(_imported(module, text)):
+            part = _part(name)
+            if part in RANK and part != own and RANK[part] >= RANK.get(own, len(LAYERS)):
+                wrong.append(f"{module} imports {name}")
+    return wrong
+
+
+def _reachable(start: str, sources: dict[str, str]) -> set[str]:
+    """Absolute names that importing module `start` brings in, through modules of the package."""
+    seen, waiting = set(), [start]
+    while waiting:
+        module = waiting.pop()
+        for name in _imported(module, sources[module]) - seen:
+            seen.add(name)
+            inner = name.removeprefix(f"{PACKAGE}.")
+            if name != inner and inner in sources:
+                waiting.append(inner)
+    return seen
+
+
+def test_every_module_has_a_layer():
+    assert {module.split(".")[0] for module in _sources()} <= RANK.keys()
+
+
+def test_imports_run_only_backwards_along_the_layers():
+    assert _wrong_ways(_sources()) == []
+
+
+def test_no_two_modules_import_each_other():
+    sources = _sources()
+    for module in sources:
+        assert f"{PACKAGE}.{module}" not in _reachable(module, sources), module
+
+
+@pytest.mark.parametrize(
+    "module", sorted(name for name in _sources() if name.split(".")[0] in ("problem", "weights", "solve"))
+)
+def test_problems_and_their_solution_know_nothing_of_mujoco(module):
+    assert not any(name.split(".")[0] in ("mujoco", "mink") for name in _reachable(module, _sources()))
+
+
+@pytest.mark.parametrize("module", ["problem", "solve.closed_form", "winding.plan", "weights"])
+def test_the_papers_equations_know_no_solver(module):
+    assert not any(name.split(".")[0] == "qpsolvers" for name in _reachable(module, _sources()))
+
+
+SABOTAGE = {
+    "absolute": ("solve.stages", "from prioritized_ik.winding import plan"),
+    "plain": ("problem", "import prioritized_ik.solve.stages"),
+    "from the package": ("limits", "from prioritized_ik import winding"),
+    "relative": ("solve.stages", "from ..winding.plan import plan"),
+    "deferred": ("models", "def late():\n    from prioritized_ik.touch import TouchSensor"),
+    "same layer": ("problem", "from prioritized_ik.weights import WOUND"),
+    "experiments": ("winding.episode", "import comparisons"),
+}
+
+
+@pytest.mark.parametrize(("module", "statement"), SABOTAGE.values(), ids=SABOTAGE.keys())
+def test_the_check_catches_an_import_that_runs_forwards(module, statement):
+    sources = _sources()
+    sources[module] += f"\n{statement}\n"
+    assert any(wrong.startswith(f"{module} imports") for wrong in _wrong_ways(sources))
+
+
+def test_the_check_catches_mujoco_behind_another_module():
+    sources = _sources()
+    sources["validation"] += "\nimport mujoco\n"
+    assert "mujoco" in _reachable("solve.closed_form", sources)
+
+
+def test_importing_the_package_loads_neither_mujoco_nor_solvers():
+    check = f"import {PACKAGE}, sys; sys.exit(any(name in sys.modules for name in ('mujoco', 'qpsolvers', 'scipy')))"
+    assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0
+
+
+def test_the_solve_runs_without_mujoco():
+    check = f"import {PACKAGE}.solve.lexicographic, sys; sys.exit('mujoco' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0

@@ -1,0 +1,264 @@
+"""Joint range, step and contact limits."""
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import Bench, central_difference, relative_error
+from tolerances import DISTANCE_GRADIENT, DISTANCE_STEP, ROUNDING
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.limits import OUTSIDE, contact_rows, joint_names, joint_range_bounds, step_bounds
+from prioritized_ik.models import Arm, WindingObject, update_kinematics, winding_model
+from prioritized_ik.problem import Rows
+from prioritized_ik.touch import Touch, TouchSensor
+
+ARM = Arm(links=6)
+OBJECTS = {
+    "cylinder": (0.07, 0.5),
+    "capsule": (0.07, 0.3),
+    "sphere": (0.07,),
+    "ellipsoid": (0.07, 0.09, 0.12),
+    "box": (0.05, 0.06, 0.3),
+}
+MIXED = """
+<mujoco>
+  <compiler autolimits="false"/>
+  <worldbody>
+    <body><freejoint name="root"/><geom size="0.1"/>
+      <body><joint name="ball" type="ball" limited="true" range="0 60"/><geom size="0.1"/>
+        <body><joint name="slide" type="slide" limited="true" range="-0.2 0.3"/><geom size="0.1"/>
+          <body><joint limited="false" range="-10 10"/><geom size="0.1"/>
+            <body><joint name="hinge" limited="true" range="-45 90"/><geom size="0.1"/></body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+class Scene:
+    """A bent six-link arm beside an object."""
+
+    def __init__(self, shape: str, gap: float, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        self.q = rng.uniform(-0.15, 0.15, ARM.joint_count)
+        bench = Bench.of(ARM)
+        bench.jacobian(self.q)
+        link = bench.data.body("link_4")
+        along = link.xmat.reshape(3, 3)[:, 0].copy()
+        middle = link.xpos + 0.5 * ARM.link_length * along
+        placed = WindingObject(shape, OBJECTS[shape]).touching(middle, along, "up", 0.2)
+        outward = placed.rotation[:, 0]
+        # A turn that is square to nothing, so that no face or edge lies along a link: there the distance has a kink.
+        turn = np.empty(9)
+        mujoco.mju_quat2Mat(turn, np.array([1.0, 0.11, -0.07, 0.05]) / np.linalg.norm([1.0, 0.11, -0.07, 0.05]))
+        self.model = winding_model(
+            ARM,
+            WindingObject(
+                shape, placed.size, placed.position + (ARM.radius + gap) * outward, turn.reshape(3, 3) @ placed.rotation
+            ),
+        )
+        self.data = mujoco.MjData(self.model)
+        self.sensor = TouchSensor(self.model, ARM.link_geoms)
+
+    def read(self, q: np.ndarray | None = None) -> Touch:
+        update_kinematics(self.model, self.data, self.q if q is None else q)
+        return self.sensor.read(self.data)
+
+    def rows(self, **options: float) -> Rows:
+        touch = self.read()
+        return contact_rows(self.model, self.data, touch, self.sensor.bodies, **options)
+
+    def gradient(self) -> np.ndarray:
+        """Derivative of every link's distance by differences of re-read distances."""
+        return central_difference(self.model, self.q, lambda q: self.read(q).distance.copy(), DISTANCE_STEP)
+
+
+# Contact rows
+
+
+@pytest.mark.parametrize("shape", OBJECTS)
+@pytest.mark.parametrize("seed", range(2))
+def test_contact_rows_are_minus_the_gradient_of_the_distance(shape: str, seed: int) -> None:
+    scene = Scene(shape, gap=0.02, seed=seed)
+    rows = scene.rows(margin=1.0)
+    assert rows.matrix.shape == (6, ARM.joint_count)
+    assert relative_error(-rows.matrix, scene.gradient()) < DISTANCE_GRADIENT
+
+
+def test_contact_rows_wrong_by_a_hundredth_fail_the_finite_difference_check() -> None:
+    scene = Scene("cylinder", gap=0.02)
+    assert relative_error(-1.01 * scene.rows(margin=1.0).matrix, scene.gradient()) > DISTANCE_GRADIENT
+
+
+def test_contact_rows_with_the_normal_reversed_fail_the_finite_difference_check() -> None:
+    scene = Scene("cylinder", gap=0.02)
+    assert relative_error(scene.rows(margin=1.0).matrix, scene.gradient()) > 1.0
+
+
+@pytest.mark.parametrize("shape", OBJECTS)
+@pytest.mark.parametrize("gap", [0.02, 1e-3, 0.0, -5e-3, -0.02])
+def test_no_step_is_always_a_member_even_in_penetration(shape: str, gap: float) -> None:
+    for min_distance in (0.0, 1e-3):
+        rows = Scene(shape, gap).rows(min_distance=min_distance, gain=0.5)
+        assert len(rows.upper) > 0
+        assert np.all(rows.upper >= 0.0)
+
+
+def test_a_link_nearer_than_the_least_distance_may_not_come_nearer_at_all() -> None:
+    scene = Scene("cylinder", gap=-5e-3)
+    nearest = int(scene.read().distance.argmin())
+    assert scene.rows(margin=1.0).upper[nearest] == 0.0
+
+
+def test_a_step_along_a_row_closes_at_most_the_gain_of_the_gap() -> None:
+    scene = Scene("cylinder", gap=0.01)
+    touch = scene.read()
+    rows = scene.rows(min_distance=2e-3, gain=0.5, margin=1.0)
+    assert np.allclose(rows.upper, 0.5 * np.maximum(touch.distance - 2e-3, 0.0), rtol=ROUNDING)
+
+
+def test_only_links_within_the_margin_get_a_row_and_its_name() -> None:
+    scene = Scene("sphere", gap=0.01)
+    near = np.flatnonzero(scene.read().distance < 0.03)
+    assert 0 < near.size < 6
+    rows = scene.rows(margin=0.03)
+    assert rows.names == tuple(f"contact of link {link + 1}" for link in near)
+    assert np.array_equal(rows.matrix, scene.rows(margin=1.0).matrix[near])
+
+
+def test_without_a_link_within_the_margin_there_is_no_row() -> None:
+    assert Scene("sphere", gap=0.05).rows(margin=1e-3).matrix.shape == (0, ARM.joint_count)
+
+
+def test_a_link_is_not_held_by_joints_beyond_it() -> None:
+    matrix = Scene("cylinder", gap=0.01).rows(margin=1.0).matrix
+    for link in range(1, 6):
+        assert not matrix[link - 1, 3 * link :].any()
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"gain": 0.0}, r"gain is 0\.0"),
+        ({"gain": 1.5}, r"gain is 1\.5"),
+        ({"gain": np.nan}, "gain is nan"),
+        ({"min_distance": -1e-3}, r"min_distance is -0\.001"),
+        ({"min_distance": np.nan}, "min_distance is nan"),
+        ({"margin": 0.0}, r"margin is 0\.0"),
+        ({"margin": np.inf}, "margin is inf"),
+    ],
+)
+def test_contact_options_of_no_use_are_refused(options: dict[str, float], named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        Scene("sphere", gap=0.01).rows(**options)
+
+
+# Joint ranges
+
+
+def test_every_joint_within_its_range_stays_inside_it_under_the_bounds(paper_arm: Bench) -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        q = rng.uniform(-1.0, 1.0, 49)
+        bounds = joint_range_bounds(paper_arm.model, q)
+        low, high = paper_arm.model.jnt_range.T
+        assert np.all(q + bounds.lower >= low - ROUNDING)
+        assert np.all(q + bounds.upper <= high + ROUNDING)
+        assert np.all((bounds.lower <= 0.0) & (bounds.upper >= 0.0))
+
+
+def test_the_bounds_leave_all_of_the_range(paper_arm: Bench) -> None:
+    q = np.random.default_rng(2).uniform(-1.0, 1.0, 49)
+    bounds = joint_range_bounds(paper_arm.model, q)
+    assert np.allclose(q + bounds.lower, -1.0)
+    assert np.allclose(q + bounds.upper, 1.0)
+
+
+def test_a_joint_at_its_limit_may_only_turn_back(paper_arm: Bench) -> None:
+    bounds = joint_range_bounds(paper_arm.model, np.full(49, 1.0))
+    assert np.all(bounds.upper == 0.0)
+    assert np.all(bounds.lower == -2.0)
+
+
+def test_a_joint_beyond_its_range_by_rounding_leaves_no_step_a_member(paper_arm: Bench) -> None:
+    q = np.zeros(49)
+    q[7] = 1.0 + 0.5 * OUTSIDE
+    bounds = joint_range_bounds(paper_arm.model, q)
+    assert bounds.upper[7] == 0.0
+    assert q[7] + bounds.lower[7] == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize("value", [1.25, -1.25])
+def test_a_joint_outside_its_range_is_refused_by_name_and_value(paper_arm: Bench, value: float) -> None:
+    q = np.zeros(49)
+    q[4] = value
+    with pytest.raises(InputError, match=rf"joint_2y is at {value}, outside its range \[-1, 1\]"):
+        joint_range_bounds(paper_arm.model, q)
+
+
+def test_the_joint_furthest_outside_is_the_one_named(paper_arm: Bench) -> None:
+    q = np.zeros(49)
+    q[[3, 48]] = 1.25, -1.5
+    with pytest.raises(InputError, match=r"joint_17z is at -1\.5"):
+        joint_range_bounds(paper_arm.model, q)
+
+
+def test_only_limited_hinges_and_slides_are_bounded_and_at_their_own_places() -> None:
+    model = mujoco.MjModel.from_xml_string(MIXED)
+    q = np.array(model.qpos0)
+    q[model.jnt_qposadr[2]] = 0.1
+    q[model.jnt_qposadr[4]] = 0.5
+    bounds = joint_range_bounds(model, q)
+    free = [*range(9), 10]
+    assert np.all(np.isinf(bounds.lower[free]))
+    assert np.all(np.isinf(bounds.upper[free]))
+    assert (bounds.lower[9], bounds.upper[9]) == pytest.approx((-0.3, 0.2))
+    assert (bounds.lower[11], bounds.upper[11]) == pytest.approx((-np.pi / 4 - 0.5, np.pi / 2 - 0.5))
+
+
+def test_a_joint_outside_its_range_is_named_in_a_model_with_a_free_joint() -> None:
+    model = mujoco.MjModel.from_xml_string(MIXED)
+    q = np.array(model.qpos0)
+    q[model.jnt_qposadr[4]] = 2.0
+    with pytest.raises(InputError, match=r"hinge is at 2, outside its range \[-0\.785398, 1\.5708\]"):
+        joint_range_bounds(model, q)
+
+
+def test_joints_without_a_name_get_their_number() -> None:
+    names = joint_names(mujoco.MjModel.from_xml_string(MIXED))
+    assert names == (*["root"] * 6, *["ball"] * 3, "slide", "joint 11", "hinge")
+
+
+def test_joint_positions_of_no_use_are_refused(paper_arm: Bench) -> None:
+    with pytest.raises(InputError, match=r"q has shape \(3,\); expected \(49,\)"):
+        joint_range_bounds(paper_arm.model, np.zeros(3))
+    q = np.zeros(49)
+    q[5] = np.nan
+    with pytest.raises(InputError, match=r"q\[5\] is nan"):
+        joint_range_bounds(paper_arm.model, q)
+
+
+# Steps
+
+
+def test_step_bounds_are_the_same_to_both_sides_for_every_joint(paper_arm: Bench) -> None:
+    bounds = step_bounds(paper_arm.model, 0.1)
+    assert np.array_equal(bounds.upper, np.full(49, 0.1))
+    assert np.array_equal(bounds.lower, -bounds.upper)
+    assert bounds.names == joint_names(paper_arm.model)
+
+
+def test_range_and_step_bounds_together_keep_both(paper_arm: Bench) -> None:
+    q = np.full(49, 0.95)
+    bounds = joint_range_bounds(paper_arm.model, q).intersect(step_bounds(paper_arm.model, 0.1))
+    assert np.allclose(bounds.upper, 0.05)
+    assert np.allclose(bounds.lower, -0.1)
+
+
+@pytest.mark.parametrize("bad", [0.0, -0.1, np.nan, np.inf])
+def test_a_step_limit_that_is_not_positive_is_refused(paper_arm: Bench, bad: float) -> None:
+    with pytest.raises(InputError, match=f"max_step is {bad}"):
+        step_bounds(paper_arm.model, bad)

@@ -1,0 +1,175 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import qpsolvers
+
+from prioritized_ik.solve import refinement
+from prioritized_ik.solve.refinement import proximal_point, zoom_in
+from prioritized_ik.solve.stages import Stage
+
+
+class GaveUpError(Exception):
+    pass
+
+
+def quadprog(problem: qpsolvers.Problem) -> np.ndarray:
+    """An exact solver that refuses Hessians that are not positive definite."""
+    solution = qpsolvers.solve_problem(problem, solver="quadprog")
+    if not solution.found:
+        raise GaveUpError
+    return solution.x
+
+
+def semidefinite_stage(seed: int) -> tuple[Stage, np.ndarray]:
+    """A stage with a semidefinite Hessian, built backwards from its optimum, which is returned with it.
+
+    Three variables cost, two do not. Active rows come in pairs whose parts in the latter cancel, with equal multipliers.
+    """
+    rng = np.random.default_rng(seed)
+    optimum = np.append(rng.normal(size=3), rng.normal(scale=3.0, size=2))
+    pairs = []
+    for direction in rng.normal(size=(2, 2)):
+        pairs += [np.append(rng.normal(size=3), direction), np.append(rng.normal(size=3), -direction)]
+    active, idle = np.array(pairs), rng.normal(size=(3, 5))
+    multipliers = np.repeat(rng.uniform(0.5, 2.0, 2), 2)
+    hessian = np.diag([1.0, 1.0, 1.0, 0.0, 0.0])
+    linear = -hessian @ optimum - active.T @ multipliers
+    linear[3:] = 0.0
+    rows = np.vstack([active, idle])
+    slack = np.append(np.zeros(4), rng.uniform(0.5, 1.0, 3))
+    problem = qpsolvers.Problem(hessian, linear, rows, rows @ optimum + slack)
+    return Stage(problem, np.zeros(5), np.eye(5), costed=3), optimum
+
+
+def free_stage(target: np.ndarray) -> Stage:
+    v = len(target)
+    return Stage(qpsolvers.Problem(np.eye(v), -target), np.zeros(v), np.eye(v), costed=v)
+
+
+def counted(solve_once: Callable[[qpsolvers.Problem], np.ndarray]) -> tuple[Callable, list[qpsolvers.Problem]]:
+    seen: list[qpsolvers.Problem] = []
+
+    def solve(problem: qpsolvers.Problem) -> np.ndarray:
+        seen.append(problem)
+        return solve_once(problem)
+
+    return solve, seen
+
+
+SEEDS = range(10)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_positive_definite_solver_alone_cannot_solve_a_semidefinite_stage(seed):
+    stage, _ = semidefinite_stage(seed)
+    with pytest.raises(qpsolvers.exceptions.ProblemError, match="not positive definite"):
+        quadprog(stage.problem)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_proximal_point_finds_the_semidefinite_stages_optimum(seed):
+    stage, optimum = semidefinite_stage(seed)
+    x = proximal_point(stage, quadprog)(stage.problem)
+    assert x[:3] == pytest.approx(optimum[:3], abs=1e-9)
+    assert (stage.problem.G @ x - stage.problem.h).max() <= 1e-9
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_one_round_with_a_large_shift_misses_the_optimum(seed, monkeypatch):
+    monkeypatch.setattr(refinement, "PROXIMAL_ROUNDS", 1)
+    monkeypatch.setattr(refinement, "PROXIMAL_SHIFT", 1.0)
+    stage, optimum = semidefinite_stage(seed)
+    x = proximal_point(stage, quadprog)(stage.problem)
+    assert np.abs(x[:3] - optimum[:3]).max() > 1e-3
+
+
+def test_the_proximal_point_leaves_the_callers_problem_alone():
+    stage, _ = semidefinite_stage(0)
+    before = stage.problem.P.copy(), stage.problem.q.copy()
+    proximal_point(stage, quadprog)(stage.problem)
+    assert np.array_equal(stage.problem.P, before[0])
+    assert np.array_equal(stage.problem.q, before[1])
+
+
+def test_a_stage_that_costs_every_variable_needs_no_proximal_point():
+    assert proximal_point(free_stage(np.ones(2)), quadprog) is quadprog
+
+
+def test_the_proximal_point_stops_as_soon_as_it_rests():
+    solve, seen = counted(quadprog)
+    hessian = np.diag([1.0, 0.0])
+    stage = Stage(qpsolvers.Problem(hessian, np.array([-1.0, 0.0])), np.zeros(2), np.eye(2), costed=1)
+    assert proximal_point(stage, solve)(stage.problem) == pytest.approx([1.0, 0.0], abs=1e-12)
+    assert len(seen) == 1
+
+
+def noisy(scale: float) -> Callable[[qpsolvers.Problem], np.ndarray]:
+    """A solver whose answers are off by `scale`, in another direction each time."""
+    rng = np.random.default_rng(0)
+
+    def solve(problem: qpsolvers.Problem) -> np.ndarray:
+        x = quadprog(problem)
+        off = rng.normal(size=len(x))
+        return x + scale * off / np.linalg.norm(off)
+
+    return solve
+
+
+TARGET = np.array([0.3, -1.2, 0.7])
+NOISE = 1e-6
+
+
+@pytest.mark.parametrize(("zooms", "error"), [((), 1e-6), ((1e-3,), 1e-9), ((1e-3, 1e-5), 1e-11)])
+def test_each_zoom_brings_an_inexact_solvers_error_down_to_its_own_fraction(zooms, error):
+    stage, solve = free_stage(TARGET), noisy(NOISE)
+    x = zoom_in(stage, solve(stage.problem), zooms, solve, GaveUpError)
+    assert 0.9 * error <= np.linalg.norm(x - TARGET) <= 1.1 * error
+
+
+def test_zooming_keeps_to_the_rows():
+    qp = qpsolvers.Problem(np.eye(3), -TARGET, np.array([[1.0, 0.0, 1.0]]), np.array([0.4]))
+    stage, solve = Stage(qp, np.zeros(3), np.eye(3), costed=3), noisy(NOISE)
+    x = zoom_in(stage, solve(qp), (1e-3, 1e-5), solve, GaveUpError)
+    assert x == pytest.approx([0.0, -1.2, 0.4], abs=1e-10)
+
+
+def test_zooming_stops_once_the_step_rests():
+    solve, seen = counted(quadprog)
+    stage = free_stage(TARGET)
+    zoom_in(stage, solve(stage.problem), (1e-3, 1e-5, 1e-7), solve, GaveUpError)
+    assert len(seen) == 2  # the solve itself, and one zoom that moved nothing
+
+
+def test_zooming_solves_the_same_hessian_and_rows():
+    solve, seen = counted(noisy(NOISE))
+    stage, _ = semidefinite_stage(1)
+    qp = qpsolvers.Problem(np.eye(5), stage.problem.q, stage.problem.G, stage.problem.h)
+    zoom_in(Stage(qp, np.zeros(5), np.eye(5), costed=5), solve(qp), (1e-3,), solve, GaveUpError)
+    assert np.array_equal(seen[1].P, qp.P)
+    assert np.array_equal(seen[1].G, qp.G)
+
+
+def test_the_answer_so_far_stays_when_a_refining_solve_gives_up():
+    stage, solve = free_stage(TARGET), noisy(NOISE)
+    first = solve(stage.problem)
+    refused = 0
+
+    def gives_up_later(problem: qpsolvers.Problem) -> np.ndarray:
+        nonlocal refused
+        refused += 1
+        if refused == 2:
+            raise GaveUpError
+        return solve(problem)
+
+    x = zoom_in(stage, first, (1e-3, 1e-5), gives_up_later, GaveUpError)
+    assert refused == 2
+    assert np.linalg.norm(x - TARGET) == pytest.approx(1e-9, rel=0.1)
+
+
+def test_a_bug_in_a_refining_solve_passes_through():
+    def broken(problem: qpsolvers.Problem) -> np.ndarray:
+        raise KeyError("bug")
+
+    with pytest.raises(KeyError):
+        zoom_in(free_stage(TARGET), TARGET, (1e-3,), broken, GaveUpError)

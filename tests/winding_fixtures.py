@@ -1,0 +1,50 @@
+"""Episodes and steps that several tests look at, each recorded once a session."""
+
+from functools import cache
+
+import numpy as np
+
+from prioritized_ik.problem import IKProblem
+from prioritized_ik.solve.closed_form import strict_solution
+from prioritized_ik.solve.lexicographic import SolveOptions
+from prioritized_ik.winding.episode import Episode, wind
+from prioritized_ik.winding.settings import WindingSettings
+
+#: Every step goes through the QP, also those that the closed form would answer.
+QP_ONLY = SolveOptions(closed_form_first=False)
+
+MET = 1e-12  # a row broken by less than this fraction of the step is broken by rounding only
+
+
+@cache
+def recorded(direction: str = "up", solver: str = "daqp", link: int = 6, tilt: float = 0.0) -> Episode:
+    return wind(WindingSettings(direction=direction, solver=solver, link=link, tilt=tilt, options=QP_ONLY))
+
+
+@cache
+def short_episode() -> Episode:
+    return wind(WindingSettings(max_steps=25, options=QP_ONLY))
+
+
+@cache
+def free_steps() -> tuple[IKProblem, ...]:
+    """Twelve steps, spread over two episodes, at which the closed form meets every row."""
+    return _spread(6, free=True)
+
+
+@cache
+def constrained_steps() -> tuple[IKProblem, ...]:
+    """Eight steps, spread over two episodes, at which the closed form breaks a row."""
+    return _spread(4, free=False)
+
+
+def _spread(count: int, *, free: bool) -> tuple[IKProblem, ...]:
+    chosen: list[IKProblem] = []
+    for direction in ("up", "back"):
+        problems = [problem for problem in recorded(direction).problems() if closed_form_is_feasible(problem) is free]
+        chosen += [problems[i] for i in np.linspace(0, len(problems) - 1, count).astype(int)]
+    return tuple(chosen)
+
+
+def closed_form_is_feasible(problem: IKProblem) -> bool:
+    return problem.relative_violation(strict_solution(problem.levels, problem.reference)) <= MET
