@@ -15,8 +15,8 @@ def solvers() -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from prioritized_ik.solve.backends.abilities import abilities_of
-    from prioritized_ik.solve.backends.registry import get_backend, installed_solvers, known_solvers
+    from prioritized_ik.solvers.backends.abilities import abilities_of
+    from prioritized_ik.solvers.backends.registry import get_backend, installed_solvers, known_solvers
 
     table = Table("solver", "version", "semidefinite", "sparse", "warm start", "refinement", "how to get it", box=None)
     installed = installed_solvers(on_request=True)

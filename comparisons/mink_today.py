@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 
 from prioritized_ik.problem import STEP_FLOOR, IKProblem
-from prioritized_ik.solve.backends.qpsolvers_ import SOLVER_ERRORS
-from prioritized_ik.solve.lexicographic import ACCEPTED_VIOLATION
-from prioritized_ik.solve.step import JointStep, StepStatus, Timings
+from prioritized_ik.solvers.backends.qpsolvers_ import SOLVER_ERRORS
+from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION
+from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.validation import Array
 from prioritized_ik.winding.settings import WindingSettings
 

@@ -7,7 +7,7 @@ import platform
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import polars
 
@@ -16,6 +16,7 @@ from comparisons.run import Record
 from comparisons.settings import ComparisonSettings
 from comparisons.summary import Row
 from prioritized_ik.errors import InputError
+from prioritized_ik.files import write_whole
 
 BEGIN, END = "<!-- table: make readme -->", "<!-- end of table -->"
 PACKAGES = ("prioritized-ik", "mujoco", "mink", "qpsolvers", "numpy", "scipy")
@@ -36,7 +37,7 @@ def facts(settings: ComparisonSettings, rows: list[Row]) -> dict[str, Any]:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write `content` as JSON."""
-    _write(path, lambda part: part.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8"))
+    _write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
 
 
 def write_folder(
@@ -47,8 +48,7 @@ def write_folder(
     for name, records in tables.items():
         frame = polars.DataFrame(records, infer_schema_length=None)
         _write(folder / f"{name}.parquet", frame.write_parquet)
-    text = markdown(rows, _stated(settings))
-    _write(folder / "table.md", lambda part: part.write_text(text, encoding="utf-8"))
+    _write_text(folder / "table.md", markdown(rows, _stated(settings)))
 
 
 def replace_table(file: Path, settings: ComparisonSettings, rows: list[Row]) -> None:
@@ -61,8 +61,7 @@ def replace_table(file: Path, settings: ComparisonSettings, rows: list[Row]) -> 
     _, end, after = rest.partition(END)
     if not (begin and end):
         raise InputError(f"{str(file)!r} has no place for the table; expected the lines {BEGIN!r} and {END!r}.")
-    text = f"{before}{begin}\n{markdown(rows, _stated(settings))}{end}{after}"
-    _write(file, lambda part: part.write_text(text, encoding="utf-8"))
+    _write_text(file, f"{before}{begin}\n{markdown(rows, _stated(settings))}{end}{after}")
 
 
 def _stated(settings: ComparisonSettings) -> dict[str, Any]:
@@ -72,7 +71,7 @@ def _stated(settings: ComparisonSettings) -> dict[str, Any]:
         "accuracy": f"{settings.accuracy:g}",
         "rank tolerance": f"{settings.rank_tolerance:g}",
         "damping": f"{settings.damping:g}",
-        "preconditioning": "whitened residual (`solve/stages.py`)",
+        "preconditioning": "whitened residual (`solvers/stages.py`)",
     }
 
 
@@ -85,13 +84,12 @@ def cpu_model() -> str:
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
-def _write(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file through a neighbour that replaces it once it is whole."""
-    part = path.with_name(f".{path.name}.part")
+def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
     try:
-        write(part)
-        part.replace(path)
+        write_whole(path, write)
     except OSError as error:
         raise InputError(f"cannot write {str(path)!r} ({error}); choose a place that is writable.") from error
-    finally:
-        part.unlink(missing_ok=True)
+
+
+def _write_text(path: Path, text: str) -> None:
+    _write(path, lambda file: file.write(text.encode("utf-8")))

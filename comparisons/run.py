@@ -18,14 +18,14 @@ import threadpoolctl
 from comparisons.mink_today import MinkSolver
 from comparisons.settings import MINK_SOLVERS, RECORDER, ComparisonSettings
 from prioritized_ik.problem import IKProblem, Level
-from prioritized_ik.solve.backends.registry import get_backend
-from prioritized_ik.solve.closed_form import (
-    rank_decomposition_svd,
+from prioritized_ik.solvers.backends.registry import get_backend
+from prioritized_ik.solvers.closed_form import (
+    level_decomposition,
     resulting_displacement,
     strict_solution,
 )
-from prioritized_ik.solve.lexicographic import ACCEPTED_VIOLATION, joint_step
-from prioritized_ik.solve.step import JointStep
+from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION, joint_step
+from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.validation import Array
 from prioritized_ik.winding.episode import Episode, Solve, wind
 from prioritized_ik.winding.metrics import measure
@@ -178,7 +178,7 @@ def _sampled(episode: Episode, step: int, rank_tolerance: float) -> _Sampled:
     problem = episode.problem(step)
     level = problem.levels[0]
     dtheta = strict_solution(problem.levels, problem.reference, rank_tolerance)
-    factors = rank_decomposition_svd(level.matrix, rank_tolerance)
+    factors = level_decomposition(level, np.eye(problem.joint_count), rank_tolerance)
     return _Sampled(
         step,
         problem,

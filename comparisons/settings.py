@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.models import DIRECTIONS
-from prioritized_ik.solve.backends.registry import ACCURACY, get_backend, installed_solvers
-from prioritized_ik.solve.closed_form import RANK_TOLERANCE
-from prioritized_ik.solve.lexicographic import FORMULATIONS, SolveOptions
+from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend, installed_solvers
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
+from prioritized_ik.solvers.lexicographic import FORMULATIONS, SolveOptions
 from prioritized_ik.validation import at_least, one_of
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from comparisons.run import MINK_ROWS, Record
-from prioritized_ik.solve.backends.registry import get_backend
+from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.winding.episode import Outcome
 from prioritized_ik.winding.settings import CLOSED_FORM
 

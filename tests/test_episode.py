@@ -6,9 +6,9 @@ import pytest
 from winding_fixtures import QP_ONLY, recorded, short_episode
 
 from prioritized_ik.errors import EpisodeFileError, InputError, SolverUnavailableError
-from prioritized_ik.solve.backends.registry import get_backend
-from prioritized_ik.solve.lexicographic import joint_step
-from prioritized_ik.solve.step import JointStep, StepStatus
+from prioritized_ik.solvers.backends.registry import get_backend
+from prioritized_ik.solvers.lexicographic import joint_step
+from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.winding.episode import FORMAT, Episode, Outcome, replay, wind
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 

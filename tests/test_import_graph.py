@@ -15,12 +15,12 @@ ROOT = Path(prioritized_ik.__file__).parent
 #: A layer imports those before it; the entries of one layer do not import each other.
 LAYERS = [
     {"errors"},
-    {"validation"},
+    {"validation", "files"},
     {"models"},
     {"virtual_arms"},
     {"touch", "problem", "weights"},
     {"limits"},
-    {"solve"},
+    {"solvers"},
     {"winding"},
     {"cli", "comparisons", "paper_repro"},
 ]
@@ -99,22 +99,22 @@ def test_no_two_modules_import_each_other():
 
 
 @pytest.mark.parametrize(
-    "module", sorted(name for name in _sources() if name.split(".")[0] in ("problem", "weights", "solve"))
+    "module", sorted(name for name in _sources() if name.split(".")[0] in ("problem", "weights", "solvers"))
 )
 def test_problems_and_their_solution_know_nothing_of_mujoco(module):
     assert not any(name.split(".")[0] in ("mujoco", "mink") for name in _reachable(module, _sources()))
 
 
-@pytest.mark.parametrize("module", ["problem", "solve.closed_form", "winding.plan", "weights"])
+@pytest.mark.parametrize("module", ["problem", "solvers.closed_form", "winding.plan", "weights"])
 def test_the_papers_equations_know_no_solver(module):
     assert not any(name.split(".")[0] == "qpsolvers" for name in _reachable(module, _sources()))
 
 
 SABOTAGE = {
-    "absolute": ("solve.stages", "from prioritized_ik.winding import plan"),
-    "plain": ("problem", "import prioritized_ik.solve.stages"),
+    "absolute": ("solvers.stages", "from prioritized_ik.winding import plan"),
+    "plain": ("problem", "import prioritized_ik.solvers.stages"),
     "from the package": ("limits", "from prioritized_ik import winding"),
-    "relative": ("solve.stages", "from ..winding.plan import plan"),
+    "relative": ("solvers.stages", "from ..winding.plan import plan"),
     "deferred": ("models", "def late():\n    from prioritized_ik.touch import TouchSensor"),
     "same layer": ("problem", "from prioritized_ik.weights import WOUND"),
     "experiments": ("winding.episode", "import comparisons"),
@@ -131,7 +131,7 @@ def test_the_check_catches_an_import_that_runs_forwards(module, statement):
 def test_the_check_catches_mujoco_behind_another_module():
     sources = _sources()
     sources["validation"] += "\nimport mujoco\n"
-    assert "mujoco" in _reachable("solve.closed_form", sources)
+    assert "mujoco" in _reachable("solvers.closed_form", sources)
 
 
 def test_importing_the_package_loads_neither_mujoco_nor_solvers():
@@ -140,5 +140,5 @@ def test_importing_the_package_loads_neither_mujoco_nor_solvers():
 
 
 def test_the_solve_runs_without_mujoco():
-    check = f"import {PACKAGE}.solve.lexicographic, sys; sys.exit('mujoco' in sys.modules)"
+    check = f"import {PACKAGE}.solvers.lexicographic, sys; sys.exit('mujoco' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", check], check=False).returncode == 0

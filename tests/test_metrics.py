@@ -132,10 +132,10 @@ def test_a_hinge_outside_its_range_shows():
 
 
 def test_steps_that_drive_two_arms_are_counted():
-    contact = np.zeros((3, 17), dtype=bool)
-    contact[0, [2, 5]] = True
-    contact[1:, 2:4] = True
-    assert measure(replace(recorded(), in_contact=contact)).driven_together == 1
+    contact = np.zeros((short_episode().steps + 1, 17), dtype=bool)
+    contact[:, 2] = True
+    contact[4:7, 5] = True  # a gap behind link 3: arms 4 and 7 are driven
+    assert measure(replace(short_episode(), in_contact=contact)).driven_together == 3
 
 
 def test_an_object_that_is_not_round_has_no_ideal():
@@ -172,11 +172,25 @@ def test_the_closed_form_alone_drives_links_into_the_object(closed_form_episode)
     assert measure(closed_form_episode).penetration > 10e-3
 
 
-def test_contact_vectors_of_the_wrong_sign_do_not_wind(monkeypatch):
+@pytest.fixture
+def reversed_contact(monkeypatch):
+    """Contact vectors that point into the object instead of into the link."""
     right = controller.plan
 
-    def reversed_contact(directions, contact_vectors, in_contact, **options):
+    def plan(directions, contact_vectors, in_contact, **options):
         return right(directions, -contact_vectors, in_contact, **options)
 
-    monkeypatch.setattr(controller, "plan", reversed_contact)
-    assert measure(wind(WindingSettings())).turns_ratio < WELL_WOUND
+    monkeypatch.setattr(controller, "plan", plan)
+
+
+@pytest.mark.usefixtures("reversed_contact")
+def test_contact_vectors_of_the_wrong_sign_do_not_wind():
+    # Well past the 293 steps that the right sign takes.
+    assert measure(wind(WindingSettings(max_steps=400))).turns_ratio < WELL_WOUND
+
+
+@pytest.mark.usefixtures("reversed_contact")
+def test_every_link_in_contact_is_not_a_winding():
+    episode = wind(WindingSettings(direction="front", solver=CLOSED_FORM, limits=False, contacts=False))
+    assert episode.outcome is Outcome.WOUND
+    assert measure(episode).turns_ratio < 0.1

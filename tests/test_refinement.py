@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from prioritized_ik.solve import refinement
-from prioritized_ik.solve.refinement import proximal_point, zoom_in
-from prioritized_ik.solve.stages import Stage
+from prioritized_ik.solvers import refinement
+from prioritized_ik.solvers.refinement import proximal_point, zoom_in
+from prioritized_ik.solvers.stages import Stage
 
 
 class GaveUpError(Exception):
@@ -67,10 +67,26 @@ def test_a_positive_definite_solver_alone_cannot_solve_a_semidefinite_stage(seed
         quadprog(stage.problem)
 
 
+@pytest.fixture
+def to_rest(monkeypatch):
+    """Let the proximal point go on until it rests."""
+    monkeypatch.setattr(refinement, "PROXIMAL_ROUNDS", 10)
+
+
+@pytest.mark.usefixtures("to_rest")
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_proximal_point_finds_the_semidefinite_stages_optimum(seed):
+def test_the_proximal_point_rests_at_the_semidefinite_stages_optimum(seed):
     stage, optimum = semidefinite_stage(seed)
-    x = proximal_point(stage, quadprog)(stage.problem)
+    x = proximal_point(stage, quadprog, GaveUpError)(stage.problem)
+    assert x[:3] == pytest.approx(optimum[:3], abs=1e-9)
+    assert (stage.problem.G @ x - stage.problem.h).max() <= 1e-9
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_proximal_point_as_it_is_and_one_zoom_find_the_semidefinite_stages_optimum(seed):
+    stage, optimum = semidefinite_stage(seed)
+    solve = proximal_point(stage, quadprog, GaveUpError)
+    x = zoom_in(stage, solve(stage.problem), (1e-3,), solve, GaveUpError)
     assert x[:3] == pytest.approx(optimum[:3], abs=1e-9)
     assert (stage.problem.G @ x - stage.problem.h).max() <= 1e-9
 
@@ -80,28 +96,75 @@ def test_one_round_with_a_large_shift_misses_the_optimum(seed, monkeypatch):
     monkeypatch.setattr(refinement, "PROXIMAL_ROUNDS", 1)
     monkeypatch.setattr(refinement, "PROXIMAL_SHIFT", 1.0)
     stage, optimum = semidefinite_stage(seed)
-    x = proximal_point(stage, quadprog)(stage.problem)
+    x = proximal_point(stage, quadprog, GaveUpError)(stage.problem)
     assert np.abs(x[:3] - optimum[:3]).max() > 1e-3
 
 
 def test_the_proximal_point_leaves_the_callers_problem_alone():
     stage, _ = semidefinite_stage(0)
     before = stage.problem.P.copy(), stage.problem.q.copy()
-    proximal_point(stage, quadprog)(stage.problem)
+    proximal_point(stage, quadprog, GaveUpError)(stage.problem)
     assert np.array_equal(stage.problem.P, before[0])
     assert np.array_equal(stage.problem.q, before[1])
 
 
 def test_a_stage_that_costs_every_variable_needs_no_proximal_point():
-    assert proximal_point(free_stage(np.ones(2)), quadprog) is quadprog
+    assert proximal_point(free_stage(np.ones(2)), quadprog, GaveUpError) is quadprog
 
 
 def test_the_proximal_point_stops_as_soon_as_it_rests():
     solve, seen = counted(quadprog)
     hessian = np.diag([1.0, 0.0])
     stage = Stage(qpsolvers.Problem(hessian, np.array([-1.0, 0.0])), np.zeros(2), np.eye(2), costed=1)
-    assert proximal_point(stage, solve)(stage.problem) == pytest.approx([1.0, 0.0], abs=1e-12)
+    assert proximal_point(stage, solve, GaveUpError)(stage.problem) == pytest.approx([1.0, 0.0], abs=1e-12)
     assert len(seen) == 1
+
+
+def shifting_stage() -> Stage:
+    """A stage whose uncosted variable has to go far, so that the proximal point takes more than one round."""
+    rows, side = np.array([[1.0, -0.1]]), np.array([1.0])  # y = 2 needs z = 10
+    return Stage(
+        qpsolvers.Problem(np.diag([1.0, 0.0]), np.array([-2.0, 0.0]), rows, side), np.zeros(2), np.eye(2), costed=1
+    )
+
+
+def gives_up_from(call: int) -> Callable[[qpsolvers.Problem], np.ndarray]:
+    calls = 0
+
+    def solve(problem: qpsolvers.Problem) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        if calls >= call:
+            raise GaveUpError
+        return quadprog(problem)
+
+    return solve
+
+
+def test_the_answer_so_far_stays_when_a_later_round_gives_up():
+    stage = shifting_stage()
+    _, seen = proximal_rounds(stage)
+    assert len(seen) > 1
+    x = proximal_point(stage, gives_up_from(2), GaveUpError)(stage.problem)
+    assert x == pytest.approx(quadprog(seen[0]), abs=1e-12)
+
+
+def proximal_rounds(stage: Stage) -> tuple[np.ndarray, list[qpsolvers.Problem]]:
+    solve, seen = counted(quadprog)
+    return proximal_point(stage, solve, GaveUpError)(stage.problem), seen
+
+
+def test_a_first_round_that_gives_up_has_no_answer():
+    stage = shifting_stage()
+    with pytest.raises(GaveUpError):
+        proximal_point(stage, gives_up_from(1), GaveUpError)(stage.problem)
+
+
+@pytest.mark.usefixtures("to_rest")
+def test_later_rounds_remove_what_the_shift_left():
+    x, seen = proximal_rounds(shifting_stage())
+    assert abs(quadprog(seen[0])[0] - 2.0) > 1e-5
+    assert x[0] == pytest.approx(2.0, abs=1e-9)
 
 
 def noisy(scale: float) -> Callable[[qpsolvers.Problem], np.ndarray]:

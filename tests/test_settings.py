@@ -5,7 +5,7 @@ import pytest
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.models import Arm
-from prioritized_ik.solve.lexicographic import SolveOptions
+from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
 OTHERS = WindingSettings(

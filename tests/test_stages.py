@@ -4,15 +4,15 @@ from winding_fixtures import QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
-from prioritized_ik.solve.closed_form import (
+from prioritized_ik.solvers.closed_form import (
     level_decomposition,
     null_space,
     resulting_displacement,
     strict_solution,
     weighted_optimum,
 )
-from prioritized_ik.solve.lexicographic import SolveOptions, first_stage
-from prioritized_ik.solve.stages import FAR_SLACK, Room, Stage, damped_stage, reference_stage, task_stage
+from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage
+from prioritized_ik.solvers.stages import FAR_SLACK, Room, Stage, damped_stage, reference_stage, task_stage
 
 ROUNDING = 1e-12  # sums of some fifty products of doubles, relative to their size
 WEIGHTED = 1e-11  # the same on recorded steps, where weights of 200 and 0.01 meet
@@ -216,10 +216,8 @@ def test_the_damped_stage_is_the_damped_normal_equations_in_joint_steps(problem)
     w = np.diag(level.weights)
     assert stage.problem.P == pytest.approx(level.matrix.T @ w @ level.matrix + damping * np.eye(5), rel=1e-12)
     assert stage.problem.q == pytest.approx(-level.matrix.T @ w @ level.target - damping * problem.reference, rel=1e-12)
-    assert np.array_equal(stage.problem.G, problem.rows.matrix)
-    assert np.array_equal(stage.problem.h, problem.rows.upper)
-    assert np.array_equal(stage.problem.lb, problem.bounds.lower)
-    assert np.array_equal(stage.problem.ub, problem.bounds.upper)
+    assert np.array_equal(stage.problem.G, problem.inequalities.matrix)
+    assert np.array_equal(stage.problem.h, problem.inequalities.upper)
     assert np.array_equal(stage.dtheta(np.arange(5.0)), np.arange(5.0))
     assert stage.as_it_stands
 

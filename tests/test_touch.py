@@ -42,7 +42,7 @@ def test_the_distance_is_the_gap_for_every_shape_and_direction(shape: str, direc
 
 @pytest.mark.parametrize("shape", OBJECTS)
 @pytest.mark.parametrize("direction", DIRECTIONS)
-@pytest.mark.parametrize("gap", [5e-3, 0.0, -4e-3])
+@pytest.mark.parametrize("gap", [5e-3, 0.0, -4e-3, -0.03])  # the last: the core of the link is inside as well
 def test_the_normal_points_from_the_object_into_the_link(shape: str, direction: str, gap: float) -> None:
     normal = reading(facing(shape, direction, gap)).normal[2]
     assert np.linalg.norm(normal) == pytest.approx(1.0, abs=ROUNDING)
@@ -149,7 +149,7 @@ def test_with_one_distance_there_is_no_hysteresis() -> None:
 
 
 def test_a_release_distance_below_the_contact_distance_is_refused() -> None:
-    with pytest.raises(ModelError, match=r"release_distance 0\.001 is below contact_distance 0\.002"):
+    with pytest.raises(InputError, match=r"release_distance 0\.001 is below contact_distance 0\.002"):
         update_contact(np.array([False]), np.array([0.0]), 2e-3, 1e-3)
 
 
@@ -176,7 +176,7 @@ def test_another_name_of_the_object_is_looked_up() -> None:
 
 
 def test_an_unknown_link_geom_is_refused() -> None:
-    with pytest.raises(ModelError, match="no geom called 'link_7'; its geoms: .*object"):
+    with pytest.raises(ModelError, match=r"no geom called 'link_7'; its geoms: .*object"):
         TouchSensor(winding_model(ARM, WindingObject()), ["link_7"])
 
 

@@ -8,7 +8,7 @@ from tolerances import FINITE_DIFFERENCE, FINITE_DIFFERENCE_STEP, ROUNDING, SABO
 
 from prioritized_ik.errors import InputError, ModelError
 from prioritized_ik.models import PLANAR_ARM, Arm, update_kinematics
-from prioritized_ik.solve.closed_form import rank_decomposition_qr, rank_decomposition_svd
+from prioritized_ik.solvers.closed_form import rank_decomposition_qr, rank_decomposition_svd
 from prioritized_ik.virtual_arms import (
     EndPoint,
     VirtualArms,

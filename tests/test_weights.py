@@ -48,14 +48,19 @@ def test_the_diagonal_fits_the_stacked_rows_of_the_paper_arm() -> None:
 
 @pytest.mark.parametrize("bad", [0.0, -1.0])
 def test_a_weight_that_is_not_positive_is_refused_at_its_place(bad: float) -> None:
-    with pytest.raises(InputError, match=rf"arm_weights\[1, 0\] is {bad}; expected numbers above 0"):
+    with pytest.raises(InputError, match=rf"arm_weights\[1\] is {bad}; expected numbers above 0"):
         diagonal_of_weights([1.0, bad], 3)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_a_weight_that_is_not_finite_is_refused_at_its_place(bad: float) -> None:
-    with pytest.raises(InputError, match=rf"arm_weights\[1, 0\] is {bad}"):
+    with pytest.raises(InputError, match=rf"arm_weights\[1\] is {bad}"):
         diagonal_of_weights([1.0, bad], 3)
+
+
+def test_more_links_in_contact_than_there_are_is_refused() -> None:
+    with pytest.raises(InputError, match="last_in_contact is 7; expected at most the number of links, 6"):
+        winding_weights(7, 6)
 
 
 def test_weights_of_another_dimension_are_refused() -> None:

@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.solve.closed_form import strict_solution
-from prioritized_ik.solve.lexicographic import SolveOptions
+from prioritized_ik.solvers.closed_form import strict_solution
+from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.winding.episode import Episode, wind
 from prioritized_ik.winding.settings import WindingSettings
 

@@ -17,9 +17,9 @@ from .limits import joint_range_bounds as joint_range_bounds
 from .limits import step_bounds as step_bounds
 
 # solve
-from .solve.lexicographic import SolveOptions as SolveOptions
-from .solve.lexicographic import solve as solve
-from .solve.backends.registry import installed_solvers as installed_solvers
+from .solvers.lexicographic import SolveOptions as SolveOptions
+from .solvers.lexicographic import solve as solve
+from .solvers.backends.registry import installed_solvers as installed_solvers
 
 # winding
 from .winding.settings import WindingSettings as WindingSettings

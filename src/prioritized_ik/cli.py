@@ -91,7 +91,7 @@ def wind(
 ) -> None:
     """Wind the arm around an object by touch alone, and print how it went."""
     from prioritized_ik.models import Arm
-    from prioritized_ik.solve.lexicographic import SolveOptions
+    from prioritized_ik.solvers.lexicographic import SolveOptions
     from prioritized_ik.validation import one_of, positive
     from prioritized_ik.winding.episode import Outcome
     from prioritized_ik.winding.episode import wind as run

@@ -59,7 +59,7 @@ class Arm:
         positive("radius", self.radius)
         positive("joint_range", self.joint_range)
         one_of("joints", self.joints, ("ball", "planar"))
-        if sorted(self.hinge_order) != ["x", "y", "z"]:
+        if not isinstance(self.hinge_order, str) or sorted(self.hinge_order) != ["x", "y", "z"]:
             raise ModelError(f"hinge_order is {self.hinge_order!r}; expected an order of x, y and z such as 'zyx'.")
 
     def hinge_axes(self, link: int) -> str:
@@ -126,7 +126,8 @@ class Arm:
             )
         if name == "straight":
             return np.zeros(self.joint_count)
-        bend = {"x": 0.0, "y": ARCH, "z": ARCH}
+        arch = min(ARCH, 0.9 * self.joint_range)
+        bend = {"x": 0.0, "y": arch, "z": arch}
         return np.array([bend[axis] for link in self.link_numbers for axis in self.hinge_axes(link)])
 
 
@@ -185,6 +186,8 @@ class WindingObject:
         """
         side = np.array(DIRECTIONS[one_of("direction", direction, DIRECTIONS)])
         link = finite_array("along", along, (3,))
+        if not link.any():
+            raise ModelError(f"along is {link.tolist()}; expected the direction of a link, not zero.")
         link = link / np.linalg.norm(link)
         outward = side - link * (link @ side)
         if np.linalg.norm(outward) < 1e-6:

@@ -99,7 +99,12 @@ class Rows:
     def __init__(self, matrix: ArrayLike, upper: ArrayLike, names: Sequence[str] = ()) -> None:
         checked = finite_array("matrix of rows", matrix, (None, None))
         side = finite_array("upper side of rows", upper, checked.shape[:1])
-        _set(self, matrix=checked, upper=side, names=_names("rows", names, "row", len(checked)))
+        known = _names("rows", names, "row", len(checked))
+        never = np.flatnonzero(~checked.any(axis=1) & (side < 0.0))
+        if never.size:
+            i = int(never[0])
+            raise InputError(f"{known[i]} is all zero but must not exceed {side[i]}, which no step can keep; leave it out.")
+        _set(self, matrix=checked, upper=side, names=known)
 
     @staticmethod
     def none(m: int) -> "Rows":

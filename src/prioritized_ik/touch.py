@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.errors import ModelError
+from prioritized_ik.errors import InputError, ModelError
 from prioritized_ik.validation import Array, positive
 from prioritized_ik.virtual_arms import object_id
 
@@ -56,7 +56,6 @@ class TouchSensor:
         self.bodies = [int(model.geom_bodyid[geom]) for geom in self._links]
         self._is_capsule = model.geom_type[self._links] == _CAPSULE
         self._half_lengths = np.where(self._is_capsule, model.geom_size[self._links, 1], 0.0)  # (n,) [m]
-        self._radii = model.geom_size[self._links, 0]  # (n,) [m]
 
     def read(self, data: mujoco.MjData) -> Touch:
         """Return the reading at the current positions of `data`. Needs `mj_kinematics`."""
@@ -71,9 +70,10 @@ class TouchSensor:
         centre = data.geom_xpos[self._links]
         axis = data.geom_xmat[self._links].reshape(n, 3, 3)[:, :, 2]
         along = np.clip(np.einsum("ni,ni->n", point - centre, axis), -self._half_lengths, self._half_lengths)
-        normal = (centre + along[:, None] * axis - point) / self._radii[:, None]
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        normal[distance >= REACH] = 0.0
+        inward = centre + along[:, None] * axis - point
+        near = distance < REACH
+        normal = np.zeros((n, 3))
+        normal[near] = inward[near] / np.linalg.norm(inward[near], axis=1, keepdims=True)
         return Touch(distance, normal, point)
 
 
@@ -85,11 +85,10 @@ def update_contact(
     A link makes contact at or below `contact_distance` [m] and loses it above `release_distance` [m].
 
     Raises:
-        InputError: a distance that is not positive.
-        ModelError: a release distance below the contact distance.
+        InputError: a distance that is not positive, or a release distance below the contact distance.
     """
     if positive("release_distance", release_distance) < positive("contact_distance", contact_distance):
-        raise ModelError(
+        raise InputError(
             f"release_distance {release_distance} is below contact_distance {contact_distance}; expected it above."
         )
     return np.where(in_contact, distance <= release_distance, distance <= contact_distance)

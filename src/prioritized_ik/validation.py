@@ -14,25 +14,31 @@ Array = NDArray[np.float64]
 
 def positive(name: str, value: float) -> float:
     """Return `value` as a float if it is finite and above zero."""
-    number = float(value)
-    if not (math.isfinite(number) and number > 0.0):
+    if not _number(value) > 0.0:
         raise InputError(f"{name} is {value!r}; expected a finite number above 0.")
-    return number
+    return float(value)
 
 
 def non_negative(name: str, value: float) -> float:
     """Return `value` as a float if it is finite and not below zero."""
-    number = float(value)
-    if not (math.isfinite(number) and number >= 0.0):
+    if not _number(value) >= 0.0:
         raise InputError(f"{name} is {value!r}; expected a finite number of at least 0.")
-    return number
+    return float(value)
 
 
 def at_least(name: str, value: int, minimum: int) -> int:
     """Return `value` if it is a whole number of at least `minimum`."""
-    if value != int(value) or value < minimum:
+    number = _number(value)
+    if not (number >= minimum and number == int(number)):
         raise InputError(f"{name} is {value!r}; expected a whole number of at least {minimum}.")
     return int(value)
+
+
+def fraction(name: str, value: float, *, below: float = 1.0) -> float:
+    """Return `value` as a float if it is above zero and below `below`."""
+    if not 0.0 < _number(value) < below:
+        raise InputError(f"{name} is {value!r}; expected a number above 0 and below {below:g}.")
+    return float(value)
 
 
 def one_of(name: str, value: str, choices: Iterable[str]) -> str:
@@ -77,6 +83,15 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     copy = np.array(array)
     copy.setflags(write=False)
     return copy
+
+
+def _number(value: object) -> float:
+    """Return `value` as a float, NaN if it is no finite number (NaN fails every comparison)."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return math.nan
+    return number if math.isfinite(number) else math.nan
 
 
 def _text(shape: tuple[int | None, ...]) -> str:

@@ -89,7 +89,7 @@ class VirtualArms:
         return self._world_points(data)[:, self._rows]
 
     def jacobian(self, data: mujoco.MjData) -> Array:
-        """Return the stacked Jacobian J `(L, m)` with dX_v = J dθ, L = l n (Eq. 3). Needs `mj_comPos`."""
+        """Return the stacked Jacobian J `(L, m)` with dX_v = J dθ, L = l n (Eqs. 1, 3). Needs `mj_comPos`."""
         blocks = np.empty((self.count, 3, self.model.nv))
         for block, body, point in zip(blocks, self._bodies, self._world_points(data), strict=True):
             mujoco.mj_jac(self.model, data, block, None, point, body)  # Eq. (1)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.validation import Array, at_least, finite_array, one_of, positive
+from prioritized_ik.validation import Array, at_least, finite_array, one_of
 
 WOUND = 200.0  # arms 1 … k, whose links hold the object
 NEXT = 20.0  # arm k + 1, which is to make contact next
@@ -19,14 +19,13 @@ def diagonal_of_weights(arm_weights: ArrayLike, dimension: int) -> Array:
     Raises:
         InputError: a weight that is not positive, or a shape that does not fit.
     """
-    weights = np.asarray(arm_weights, dtype=float)
-    if weights.ndim == 1:
-        weights = np.repeat(weights[:, None], at_least("dimension", dimension, 1), axis=1)
-    weights = finite_array("arm_weights", weights, (None, dimension))
+    l = at_least("dimension", dimension, 1)  # noqa: E741, the paper's letter
+    one_each = np.ndim(arm_weights) == 1
+    weights = finite_array("arm_weights", arm_weights, (None,) if one_each else (None, l))
     for place, value in np.ndenumerate(weights):
         if value <= 0.0:
             raise InputError(f"arm_weights{list(place)} is {value}; expected numbers above 0.")
-    return weights.ravel()
+    return np.repeat(weights, l) if one_each else weights.ravel()
 
 
 def winding_weights(last_in_contact: int, links: int, kind: str = "eq23") -> Array:
@@ -37,8 +36,10 @@ def winding_weights(last_in_contact: int, links: int, kind: str = "eq23") -> Arr
         links: number of links n.
         kind: a key of `FREE`.
     """
-    at_least("last_in_contact", last_in_contact, 0)
-    weights = np.full(at_least("links", links, 1), positive("free weight", FREE[one_of("weights", kind, FREE)]))
-    weights[: last_in_contact + 1] = NEXT
-    weights[:last_in_contact] = WOUND
+    k, n = at_least("last_in_contact", last_in_contact, 0), at_least("links", links, 1)
+    if k > n:
+        raise InputError(f"last_in_contact is {k}; expected at most the number of links, {n}.")
+    weights = np.full(n, FREE[one_of("weights", kind, FREE)])
+    weights[: k + 1] = NEXT
+    weights[:k] = WOUND
     return weights

@@ -4,8 +4,6 @@ The arm moves kinematically: each step's dθ is added to the joint positions as 
 and outcome, so that any solver can be run on the same problems later; a saved episode replays bit for bit.
 """
 
-import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -18,16 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.errors import EpisodeFileError, InputError
+from prioritized_ik.files import write_whole
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
-from prioritized_ik.solve.backends.registry import get_backend
-from prioritized_ik.solve.closed_form import strict_solution
-from prioritized_ik.solve.lexicographic import joint_step
-from prioritized_ik.solve.step import JointStep, StepStatus
+from prioritized_ik.solvers.backends.registry import get_backend
+from prioritized_ik.solvers.closed_form import strict_solution
+from prioritized_ik.solvers.lexicographic import joint_step
+from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.validation import Array, read_only
 from prioritized_ik.winding.controller import Equilibrium, WindingController
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
 FORMAT = "prioritized-ik episode 1"
+
+#: What NumPy and zipfile raise on files that are no episodes, or damaged ones.
+_UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 Solve = Callable[[IKProblem, Array], JointStep]  # the problem, and the joint positions it was posed at
 
@@ -128,19 +130,11 @@ class Episode:
             "outcome": np.array(self.outcome.name),
             "message": np.array(self.message),
         }
-        target = Path(path)
         try:
-            with tempfile.NamedTemporaryFile(dir=target.parent, suffix=".npz", delete=False) as file:
-                try:
-                    np.savez_compressed(file, **header, **arrays)
-                    file.close()
-                    os.replace(file.name, target)
-                except BaseException:
-                    Path(file.name).unlink(missing_ok=True)
-                    raise
+            write_whole(path, lambda file: np.savez_compressed(file, **header, **arrays))
         except OSError as error:
             raise EpisodeFileError(
-                f"cannot write the episode to {str(target)!r} ({error}); choose a folder that exists and is writable."
+                f"cannot write the episode to {str(path)!r} ({error}); choose a folder that exists and is writable."
             ) from error
 
     @staticmethod
@@ -151,7 +145,7 @@ class Episode:
             EpisodeFileError: not there, not such a file, or damaged.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
                 content = {name: file[name] for name in file.files}
             if str(content["format"]) != FORMAT:
                 raise EpisodeFileError(
@@ -161,7 +155,7 @@ class Episode:
             arrays = {name: read_only(content[name]) for name in _ARRAYS}
             episode = Episode(settings, Outcome[str(content["outcome"])], str(content["message"]), **arrays)
             episode._check_shapes()
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except _UNREADABLE as error:
             raise EpisodeFileError(
                 f"cannot read an episode from {str(path)!r} ({error}); expected a file that `wind --save` wrote, whole."
             ) from error

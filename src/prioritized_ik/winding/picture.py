@@ -15,7 +15,7 @@ from prioritized_ik.winding.episode import Episode
 TOUCHING = (0.93, 0.40, 0.47, 1.0)  # links in contact [rgba]
 FRAMES = 60  # of an animation, evenly spaced over the episode
 FRAME_MILLISECONDS = 50
-SHOWN_LENGTH = 2.8  # half length of a cylinder or capsule in a picture, in radii
+SHOWN_LENGTH = 2.2  # half length of a cylinder or capsule in a picture, in radii
 
 
 def frames(episode: Episode, steps: list[int], width: int = 960, height: int = 720) -> Iterator[NDArray[np.uint8]]:
@@ -36,7 +36,7 @@ def frames(episode: Episode, steps: list[int], width: int = 960, height: int = 7
     model = spec.compile()
     data = mujoco.MjData(model)
     links = [model.geom(name).id for name in episode.settings.arm.link_geoms]
-    model.geom_rgba[model.geom("object").id, 3] = 0.8
+    model.geom_rgba[model.geom("object").id, 3] = 0.5
     colours = model.geom_rgba[links].copy()
     camera = _camera(episode)
     with mujoco.Renderer(model, height, width) as renderer:
@@ -84,9 +84,9 @@ def _camera(episode: Episode) -> mujoco.MjvCamera:
     reach = settings.link * settings.arm.link_length
     camera = mujoco.MjvCamera()
     camera.lookat[:] = 0.5 * (wound.position + np.array([0.5 * reach, 0.0, 0.0]))
-    camera.distance = 1.4 * reach + 4.0 * settings.size[0]
+    camera.distance = 1.1 * reach + 4.0 * settings.size[0]
     along = wound.axis if wound.axis[1] < 0.0 or abs(wound.axis[2]) > 0.5 else -wound.axis
-    view = along + np.array([-0.35, -0.55, 0.45])
+    view = 0.8 * along + np.array([0.45, -0.55, 0.55])
     camera.azimuth = float(np.degrees(np.arctan2(-view[1], -view[0])))
     camera.elevation = -float(np.degrees(np.arcsin(abs(view[2]) / np.linalg.norm(view))))
     return camera

@@ -16,7 +16,7 @@ from prioritized_ik.models import (
     update_kinematics,
     winding_model,
 )
-from prioritized_ik.solve.lexicographic import SolveOptions
+from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.validation import Array, at_least, non_negative, one_of, positive
 from prioritized_ik.weights import FREE
 from prioritized_ik.winding.plan import DEAD_BAND
@@ -104,6 +104,9 @@ class WindingSettings:
                 "no link could ever make contact."
             )
         at_least("max_steps", self.max_steps, 1)
+        at_least("seed", self.seed, 0)
+        if not isinstance(self.solver, str):
+            raise InputError(f"solver is {self.solver!r}; expected the name of one.")
         if self.solver == CLOSED_FORM and (self.limits or self.contacts):
             raise InputError("the closed form knows no limits or contacts; set both to False, or choose a QP solver.")
         self.wound_object()
@@ -144,5 +147,7 @@ class WindingSettings:
             fields["options"] = SolveOptions(**fields["options"])
             fields["size"] = tuple(fields["size"])
             return WindingSettings(**fields)
-        except (json.JSONDecodeError, KeyError, TypeError) as error:
+        except InputError:
+            raise
+        except (ValueError, OverflowError, KeyError, TypeError) as error:
             raise InputError(f"these are not settings of an episode ({error}).") from error

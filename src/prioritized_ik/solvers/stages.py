@@ -19,7 +19,7 @@ import qpsolvers
 import scipy.linalg
 
 from prioritized_ik.problem import IKProblem, Level
-from prioritized_ik.solve.closed_form import level_decomposition, null_space
+from prioritized_ik.solvers.closed_form import level_decomposition, null_space
 from prioritized_ik.validation import Array
 
 #: A row that moves by less than this fraction of its length along every free direction is settled by the levels above, and
@@ -84,7 +84,8 @@ class Room:
     def whole(problem: IKProblem) -> "Room":
         """Return the room before the first level: everything."""
         m, rows = problem.joint_count, problem.inequalities
-        return Room(np.zeros(m), np.eye(m), rows.matrix, rows.upper)
+        moving = rows.matrix.any(axis=1)
+        return Room(np.zeros(m), np.eye(m), rows.matrix[moving], rows.upper[moving])
 
     def after(self, origin: Array, free: Array) -> "Room":
         """Return the room once `origin` is reached and only `free` directions are left.

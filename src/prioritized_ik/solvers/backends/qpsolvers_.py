@@ -8,10 +8,10 @@ import numpy as np
 import qpsolvers
 import scipy.sparse
 
-from prioritized_ik.solve.backends.abilities import Options, abilities_of
-from prioritized_ik.solve.backends.protocol import StageResult
-from prioritized_ik.solve.refinement import SolveOnce, proximal_point, zoom_in
-from prioritized_ik.solve.stages import Stage
+from prioritized_ik.solvers.backends.abilities import Options, abilities_of
+from prioritized_ik.solvers.backends.protocol import StageResult
+from prioritized_ik.solvers.refinement import SolveOnce, proximal_point, zoom_in
+from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.validation import Array
 
 #: What solvers raise when they cannot solve a QP: qpsolvers' own, LAPACK's, division by zero, and what bindings translate

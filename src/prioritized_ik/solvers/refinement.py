@@ -16,13 +16,13 @@ from collections.abc import Callable
 import numpy as np
 import qpsolvers
 
-from prioritized_ik.solve.stages import Stage
+from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.validation import Array
 
 SolveOnce = Callable[[qpsolvers.Problem], Array]
 
 PROXIMAL_SHIFT = 1e-6  # ρ: costed variables weigh 1, so that z moves freely but Cholesky factors exist
-PROXIMAL_ROUNDS = 4  # each round shrinks what the shift leaves by about ρ
+PROXIMAL_ROUNDS = 2  # a round shrinks what the shift leaves by ρ/(ρ + a²), a the slope of the rows; each zoom adds rounds
 RESTED = 1e-10  # ρ‖z - z_k‖ below this leaves no trace in the costed variables
 SETTLED = 1e-9  # zooming stops once it moves the joint step by less than this fraction
 
@@ -36,23 +36,22 @@ def proximal_point(stage: Stage, solve_once: SolveOnce, gave_up: type[Exception]
         return solve_once
     unfelt = slice(stage.costed, stage.size)
 
-    def solve(problem: qpsolvers.Problem) -> Array:
-        hessian = problem.P.copy()
+    def shifted(problem: qpsolvers.Problem, z: Array) -> Array:
+        hessian, linear = problem.P.copy(), problem.q.copy()
         hessian[range(stage.costed, stage.size), range(stage.costed, stage.size)] += PROXIMAL_SHIFT
+        linear[unfelt] -= PROXIMAL_SHIFT * z
+        return solve_once(qpsolvers.Problem(hessian, linear, problem.G, problem.h))
+
+    def solve(problem: qpsolvers.Problem) -> Array:
         z = np.zeros(stage.size - stage.costed)
-        x = None
-        for _ in range(PROXIMAL_ROUNDS):
-            linear = problem.q.copy()
-            linear[unfelt] -= PROXIMAL_SHIFT * z
-            try:
-                x = solve_once(qpsolvers.Problem(hessian, linear, problem.G, problem.h))
-            except gave_up:
-                if x is None:
-                    raise
-                return x
-            moved = np.abs(x[unfelt] - z).max()
+        x = shifted(problem, z)
+        for _ in range(PROXIMAL_ROUNDS - 1):
+            if PROXIMAL_SHIFT * np.abs(x[unfelt] - z).max() <= RESTED:
+                break
             z = x[unfelt]
-            if PROXIMAL_SHIFT * moved <= RESTED:
+            try:
+                x = shifted(problem, z)
+            except gave_up:
                 break
         return x
 

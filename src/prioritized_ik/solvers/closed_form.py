@@ -14,7 +14,7 @@ import scipy.linalg
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Level
-from prioritized_ik.validation import Array
+from prioritized_ik.validation import Array, fraction
 
 #: Singular values up to this fraction of the largest count as zero. On the 17-link arm the 34th is 1e-4 to 1e-3 of the
 #: first in bent poses, falls to 0 as the arm straightens, and rounding leaves 1e-16: below 1e-7 a direction's share of the
@@ -43,18 +43,15 @@ class RankDecomposition:
         return self.j_a.shape[1]
 
 
-def rank_decomposition_svd(
-    jacobian: Array, rank_tolerance: float = RANK_TOLERANCE, largest: float | None = None
-) -> RankDecomposition:
+def rank_decomposition_svd(jacobian: Array, rank_tolerance: float = RANK_TOLERANCE) -> RankDecomposition:
     """Eq. (6) by singular values: J_a = U S, J_b = Vᵀ with orthonormal rows.
 
     Args:
         jacobian: J `(L, m)`.
         rank_tolerance: singular values up to this fraction of the largest are dropped.
-        largest: the singular value to compare with, if not the largest of `jacobian` itself.
     """
     u, s, vt = np.linalg.svd(jacobian, full_matrices=False)
-    p = int(np.count_nonzero(s > _tolerance(rank_tolerance) * (s[0] if largest is None else largest))) if s.size else 0
+    p = int(np.count_nonzero(s > fraction("rank_tolerance", rank_tolerance) * s.max(initial=0.0)))
     return RankDecomposition(u[:, :p] * s[:p], vt[:p])
 
 
@@ -66,7 +63,7 @@ def rank_decomposition_qr(jacobian: Array, rank_tolerance: float = RANK_TOLERANC
     """
     q, r, pivots = scipy.linalg.qr(jacobian, mode="economic", pivoting=True)
     diagonal = np.abs(np.diag(r))
-    p = int(np.count_nonzero(diagonal > _tolerance(rank_tolerance) * diagonal[0])) if diagonal.size else 0
+    p = int(np.count_nonzero(diagonal > fraction("rank_tolerance", rank_tolerance) * diagonal[0])) if diagonal.size else 0
     j_b = np.empty((p, jacobian.shape[1]))
     j_b[:, pivots] = r[:p]
     return RankDecomposition(q[:, :p], j_b)
@@ -157,10 +154,20 @@ def strict_solution(levels: Sequence[Level], reference: Array, rank_tolerance: f
 
 
 def level_decomposition(level: Level, free: Array, rank_tolerance: float) -> RankDecomposition:
-    """Eq. (6) of what a level can still do in the `free` directions `(m, f)`; its rank counts against the whole level."""
-    if free.shape[1] == level.matrix.shape[1]:
-        return rank_decomposition_svd(level.matrix @ free, rank_tolerance)
-    return rank_decomposition_svd(level.matrix @ free, rank_tolerance, float(np.linalg.norm(level.matrix, 2)))
+    """Eq. (6) of what a level can still do in the `free` directions `(m, f)`; J_b has orthonormal rows.
+
+    The rank is that of the level's matrix, whatever its weights, and counts against all the level could do. The factors
+    are those of W^½ J with W^½ taken out again: the rounding of factors of J itself would be magnified by the weights,
+    which costs three digits with those of Eq. (23).
+    """
+    matrix = level.matrix @ free
+    strengths = np.linalg.svd(matrix, compute_uv=False)
+    whole = free.shape[1] == level.matrix.shape[1]
+    largest = strengths.max(initial=0.0) if whole else np.linalg.norm(level.matrix, 2)
+    p = int(np.count_nonzero(strengths > fraction("rank_tolerance", rank_tolerance) * largest))
+    root = np.sqrt(level.weights)[:, None]
+    u, s, vt = np.linalg.svd(root * matrix, full_matrices=False)
+    return RankDecomposition(u[:, :p] * s[:p] / root, vt[:p])
 
 
 def null_space(j_b: Array) -> Array:
@@ -170,12 +177,6 @@ def null_space(j_b: Array) -> Array:
         return np.eye(m)
     q, _ = np.linalg.qr(j_b.T, mode="complete")
     return q[:, p:]
-
-
-def _tolerance(rank_tolerance: float) -> float:
-    if not 0.0 < rank_tolerance < 1.0:
-        raise InputError(f"rank_tolerance is {rank_tolerance!r}; expected a number between 0 and 1, such as 1e-6.")
-    return rank_tolerance
 
 
 def _require(case: TaskCase, jacobian: Array, rank_tolerance: float, equation: str) -> None:

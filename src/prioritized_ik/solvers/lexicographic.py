@@ -11,12 +11,12 @@ import scipy.optimize
 
 from prioritized_ik.errors import InputError, StepNotFoundError
 from prioritized_ik.problem import STEP_FLOOR, IKProblem, Level
-from prioritized_ik.solve.backends.protocol import Backend, StageResult
-from prioritized_ik.solve.backends.registry import ACCURACY, get_backend
-from prioritized_ik.solve.closed_form import RANK_TOLERANCE, null_space, rank_decomposition_svd, strict_solution
-from prioritized_ik.solve.stages import SETTLED_ROW, Room, Stage, damped_stage, reference_stage, task_stage
-from prioritized_ik.solve.step import JointStep, StepStatus, Timings
-from prioritized_ik.validation import Array, non_negative, one_of
+from prioritized_ik.solvers.backends.protocol import Backend, StageResult
+from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, null_space, rank_decomposition_svd, strict_solution
+from prioritized_ik.solvers.stages import SETTLED_ROW, Room, Stage, damped_stage, reference_stage, task_stage
+from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
+from prioritized_ik.validation import Array, fraction, non_negative, one_of
 
 FORMULATIONS = ("lexicographic", "damped")
 
@@ -48,8 +48,7 @@ class SolveOptions:
     def __post_init__(self) -> None:
         one_of("formulation", self.formulation, FORMULATIONS)
         non_negative("damping", self.damping)
-        if not 0.0 < self.rank_tolerance < 1.0:
-            raise InputError(f"rank_tolerance is {self.rank_tolerance!r}; expected a number between 0 and 1.")
+        fraction("rank_tolerance", self.rank_tolerance)
 
 
 def solve(problem: IKProblem, solver: str = "daqp", options: SolveOptions | None = None) -> JointStep:

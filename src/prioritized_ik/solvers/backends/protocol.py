@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-from prioritized_ik.solve.stages import Stage
+from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.validation import Array
 
 

@@ -2,8 +2,8 @@
 
 The oddities were measured on the recorded winding steps (49 joints, whitened stages; see the README for the figures):
 
-- quadprog and ecos need a positive definite Hessian; daqp takes a semidefinite one, but its automatic proximal mode stops
-  early; highs cycles for seconds on one. They get the proximal point.
+- quadprog and ecos need a positive definite Hessian, and cvxopt one that its rows make definite; daqp takes a semidefinite
+  one, but its automatic proximal mode stops early; highs cycles for seconds on one. They get the proximal point.
 - clarabel, cvxopt, piqp, scs: the weakest directions of a free step stay off by up to 1e-1 even at tolerance 1e-10, because
   the complementarity of inactive rows pushes on them. A zoom or two bring them to 1e-8.
 - ecos minimises through an epigraph cone: a cost right to ε leaves x right to about √ε only. Three zooms.
@@ -59,6 +59,7 @@ ABILITIES: dict[str, Abilities] = {
     "cvxopt": Abilities(
         "cvxopt",
         lambda a: dict.fromkeys(("abstol", "reltol", "feastol"), max(a, 1e-7)),
+        semidefinite=False,
         warm_start=True,
         zooms=(1e-3, 1e-5),
     ),
@@ -97,7 +98,8 @@ ABILITIES: dict[str, Abilities] = {
         warm_start=True,
     ),
     "piqp": Abilities("piqp", _eps, zooms=(1e-3,)),
-    "proxqp": Abilities("proxsuite", _eps, warm_start=True, zooms=(1e-3,)),
+    # A hundredth: on weak directions a row broken by 1e-8 in scaled variables is one broken by 1e-5 rad.
+    "proxqp": Abilities("proxsuite", lambda a: _eps(a / 100), warm_start=True, zooms=(1e-3,)),
     "qpalm": Abilities(
         "qpalm",
         lambda a: {**_eps(a / 100), "max_iter": ITERATIONS},
@@ -113,7 +115,13 @@ ABILITIES: dict[str, Abilities] = {
         zooms=(1e-3,),
     ),
     "jaxopt_osqp": Abilities("jaxopt", lambda a: {"tol": a}, semidefinite=False, on_request=True),
-    "kvxopt": Abilities("kvxopt", lambda a: {"abstol": a, "reltol": a, "feastol": a}, zooms=(1e-3, 1e-5), on_request=True),
+    "kvxopt": Abilities(
+        "kvxopt",
+        lambda a: dict.fromkeys(("abstol", "reltol", "feastol"), max(a, 1e-7)),
+        semidefinite=False,
+        zooms=(1e-3, 1e-5),
+        on_request=True,
+    ),
     "pyqpmad": Abilities("pyqpmad", semidefinite=False, on_request=True),
     "qpax": Abilities("qpax", semidefinite=False, zooms=(1e-3, 1e-5), on_request=True),
     "qtqp": Abilities("qtqp", sparse=True, zooms=(1e-3, 1e-5), on_request=True),

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import qpsolvers
 
 from prioritized_ik.errors import InputError, SolverUnavailableError
-from prioritized_ik.solve.backends.abilities import ABILITIES, abilities_of
-from prioritized_ik.solve.backends.protocol import Backend
-from prioritized_ik.solve.backends.qpsolvers_ import QpsolversBackend
+from prioritized_ik.solvers.backends.abilities import ABILITIES, abilities_of
+from prioritized_ik.solvers.backends.protocol import Backend
+from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
 
 #: Accuracy asked of a solver unless told otherwise, in the stages' scaled variables.
 ACCURACY = 1e-8

@@ -1,0 +1,53 @@
+"""The README runs: its Python and its commands, as they stand."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from prioritized_ik.cli import main
+
+ROOT = Path(__file__).parents[1]
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+PYTHON = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+CONSOLE = [
+    line.split("#")[0].strip()
+    for block in re.findall(r"```console\n(.*?)```", TEXT, re.DOTALL)
+    for line in block.splitlines()
+]
+COMMANDS = [line for line in CONSOLE if line.startswith("prioritized-ik")]
+
+
+@pytest.mark.parametrize("code", PYTHON)
+def test_the_python_of_the_readme_runs(code: str, capsys: pytest.CaptureFixture[str]) -> None:
+    exec(compile(code, "README.md", "exec"), {})
+    assert "joint_" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_commands_of_the_readme_run(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(main, shlex.split(command)[1:])
+    assert result.exit_code == 0, result.output
+
+
+def test_the_readme_has_code_and_commands_and_its_make_targets_exist() -> None:
+    assert PYTHON
+    assert len(COMMANDS) >= 3
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    assert {line.split()[1] for line in CONSOLE if line.startswith("make ")} <= targets
+
+
+def test_every_link_inside_the_project_leads_somewhere() -> None:
+    for target in re.findall(r"\]\(([^):]+)\)", TEXT):
+        assert (ROOT / target).exists(), target
+
+
+def test_the_table_of_the_readme_is_one_that_the_command_makes() -> None:
+    table = TEXT.split("<!-- table: make readme -->")[1].split("<!-- end of table -->")[0]
+    header = next(line for line in table.splitlines() if line.startswith("|"))
+    from comparisons.report import COLUMNS
+
+    assert [cell.strip() for cell in header.strip("|").split("|")] == list(COLUMNS)
