@@ -40,6 +40,7 @@ def solvers() -> None:
 @click.option("--link", default=6, help="The link that touches the object first.")
 @click.option("--tilt", default=0.0, help="Tilt of the object's axis [rad].")
 @click.option("--accuracy", default=1e-8, help="Asked of every solver, in the stages' scaled variables.")
+@click.option("--rank-tolerance", default=1e-4, help="Shared by all: singular values below this fraction count as zero.")
 @click.option("--damping", default=1e-12, help="Of the damped formulation.")
 @click.option("--closed-form-first/--no-closed-form-first", default=False, help="Skip the QP where no row binds.")
 @click.option("--workers", type=int, help="Processes.  [default: one a core]")
@@ -55,6 +56,7 @@ def compare(
     link: int,
     tilt: float,
     accuracy: float,
+    rank_tolerance: float,
     damping: float,
     closed_form_first: bool,
     workers: int | None,
@@ -81,6 +83,7 @@ def compare(
         link=link,
         tilt=tilt,
         accuracy=accuracy,
+        rank_tolerance=rank_tolerance,
         damping=damping,
         closed_form_first=closed_form_first,
         workers=workers if workers is not None else os.cpu_count() or 1,

@@ -14,6 +14,7 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.models import PLANAR_ARM
 from prioritized_ik.problem import Level
 from prioritized_ik.solvers.closed_form import (
+    RANK_TOLERANCE,
     RankDecomposition,
     TaskCase,
     general_solution,
@@ -279,11 +280,8 @@ def test_eq17_solved_plainly_on_the_paper_arm_gives_a_wildly_longer_step_or_none
 def test_eqs_12_and_14_equal_the_weighted_pseudoinverse_in_200_poses(paper_arm: Bench, kind: str) -> None:
     worst = 0.0
     for jacobian, weights, desired in requests(paper_arm, kind, 200, seed=51):
-        # Any factors of J serve; those made from W^½J keep the accuracy that those of J lose (see below).
-        root = np.sqrt(weights)
-        factors = rank_decomposition_svd(root[:, None] * jacobian)
+        factors = level_decomposition(Level(jacobian, desired, weights), np.eye(49), RANK_TOLERANCE)
         assert factors.rank == 34
-        factors = RankDecomposition(factors.j_a / root[:, None], factors.j_b)
         truth = svd_oracle(jacobian, weights, desired)
         worst = max(worst, norm_error(eqs_12_and_14(factors, weights, desired), truth))
     assert worst < ORACLE
@@ -316,9 +314,7 @@ def test_eqs_12_and_14_equal_a_fifty_digit_solution_in_the_15_worst_of_200_poses
     poses = zip(paper_arm.general_poses(200, seed=51), requests(paper_arm, kind, 200, seed=51), strict=True)
     for q, (jacobian, weights, desired) in sorted(poses, key=lambda pose: spread(pose[1][0]))[:15]:
         assert np.array_equal(paper_arm.jacobian(q), jacobian)
-        root = np.sqrt(weights)
-        factors = rank_decomposition_svd(root[:, None] * jacobian)
-        factors = RankDecomposition(factors.j_a / root[:, None], factors.j_b)
+        factors = level_decomposition(Level(jacobian, desired, weights), np.eye(49), RANK_TOLERANCE)
         truth = exact_oracle(paper_arm, jacobian, weights, desired)
         assert norm_error(eqs_12_and_14(factors, weights, desired), truth) < ORACLE
         assert norm_error(svd_oracle(jacobian, weights, desired), truth) < ORACLE

@@ -15,6 +15,7 @@ from comparisons.summary import summarise
 from prioritized_ik.solvers.backends import registry
 from prioritized_ik.solvers.backends.protocol import StageResult
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.winding.episode import Episode, wind
 from prioritized_ik.winding.settings import WindingSettings
@@ -82,7 +83,7 @@ def test_the_damped_formulation_is_another_problem(folder: Path) -> None:
 
 
 def test_the_sample_holds_free_and_constrained_steps_of_the_whole_episode(folder: Path) -> None:
-    sample = running._sample(folder / "up.npz", 12, 1e-6)
+    sample = running._sample(folder / "up.npz", 12, RANK_TOLERANCE)
     assert [item.step for item in sample] == sorted({item.step for item in sample})
     assert len(sample) == 12
     assert {item.free for item in sample} == {True, False}

@@ -55,8 +55,8 @@ def test_the_stages_cost_is_the_levels_cost_in_units_up_to_a_constant(problem):
 def test_on_recorded_steps_the_stages_cost_is_that_of_the_decomposed_jacobian():
     for problem in free_steps() + constrained_steps():
         full, stage = problem.levels[0], first_stage(problem, QP_ONLY)
-        # J_a J_b, as one of the steps has a singular value of 2e-7 of the largest, which the rank tolerance drops.
-        factors = level_decomposition(full, np.eye(49), 1e-6)
+        # J_a J_b, as some of the steps have a small singular value, which the rank tolerance drops.
+        factors = level_decomposition(full, np.eye(49), QP_ONLY.rank_tolerance)
         level = Level(factors.j_a @ factors.j_b, full.target, full.weights)
         unit = np.linalg.norm(np.sqrt(level.weights) * level.target)
         points = np.random.default_rng(0).normal(scale=0.1, size=(5, stage.size))
@@ -190,7 +190,9 @@ def test_the_unconstrained_optimum_maps_back_to_the_closed_forms_displacement(pr
 def test_the_unconstrained_optimum_of_a_recorded_step_is_the_closed_forms_displacement():
     for problem in free_steps():
         level, stage = problem.levels[0], first_stage(problem, QP_ONLY)
-        dx_b = weighted_optimum(level_decomposition(level, np.eye(49), 1e-6).j_a, level.weights, level.target)
+        dx_b = weighted_optimum(
+            level_decomposition(level, np.eye(49), QP_ONLY.rank_tolerance).j_a, level.weights, level.target
+        )
         assert np.linalg.norm(dx_b) > 0.0
         wanted = level.matrix @ strict_solution(problem.levels, problem.reference)
         assert level.matrix @ stage.dtheta(-stage.problem.q) == pytest.approx(wanted, abs=WEIGHTED * np.linalg.norm(wanted))

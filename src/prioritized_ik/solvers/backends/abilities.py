@@ -55,10 +55,10 @@ ABILITIES: dict[str, Abilities] = {
         sparse=True,
         zooms=(1e-3,),
     ),
-    # Not below 1e-7: CVXOPT gives up on tighter ones where rows bind.
+    # Ten times: CVXOPT gives up on tighter ones where rows bind.
     "cvxopt": Abilities(
         "cvxopt",
-        lambda a: dict.fromkeys(("abstol", "reltol", "feastol"), max(a, 1e-7)),
+        lambda a: dict.fromkeys(("abstol", "reltol", "feastol"), 10 * a),
         semidefinite=False,
         warm_start=True,
         zooms=(1e-3, 1e-5),
@@ -70,10 +70,10 @@ ABILITIES: dict[str, Abilities] = {
         semidefinite=False,
         zooms=(1e-3,),
     ),
-    # Not below 1e-6: ECOS gives up on tighter ones more often than it gains.
+    # A hundred times: ECOS gives up on tighter ones more often than it gains.
     "ecos": Abilities(
         "ecos",
-        lambda a: dict.fromkeys(("abstol", "reltol", "feastol"), max(a, 1e-6)),
+        lambda a: dict.fromkeys(("abstol", "reltol", "feastol"), 100 * a),
         semidefinite=False,
         sparse=True,
         zooms=(1e-2, 1e-4, 1e-6),
@@ -117,7 +117,7 @@ ABILITIES: dict[str, Abilities] = {
     "jaxopt_osqp": Abilities("jaxopt", lambda a: {"tol": a}, semidefinite=False, on_request=True),
     "kvxopt": Abilities(
         "kvxopt",
-        lambda a: dict.fromkeys(("abstol", "reltol", "feastol"), max(a, 1e-7)),
+        lambda a: dict.fromkeys(("abstol", "reltol", "feastol"), 10 * a),
         semidefinite=False,
         zooms=(1e-3, 1e-5),
         on_request=True,
