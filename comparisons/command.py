@@ -8,6 +8,8 @@ import click
 
 from prioritized_ik.cli import DISAGREES, writable_folder
 
+FILE_WIDTH = 260  # of tables that do not go to a terminal
+
 
 @click.command()
 def solvers() -> None:
@@ -29,7 +31,7 @@ def solvers() -> None:
         how = f"pip install {abilities.package}" if name not in installed else "installed"
         how += ", runs when named" if abilities.on_request else ""
         table.add_row(name, version, *flags, ", ".join(refinement) or "–", how)
-    Console(width=None if os.isatty(1) else 140).print(table)
+    Console(width=None if os.isatty(1) else FILE_WIDTH).print(table)
 
 
 @click.command()
@@ -69,7 +71,7 @@ def compare(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from comparisons.report import LEGEND, table
+    from comparisons.report import LEGEND, show
     from comparisons.results import facts, replace_table, write_folder, write_json
     from comparisons.run import run
     from comparisons.settings import ComparisonSettings
@@ -113,7 +115,7 @@ def compare(
         write_json(Path(json_file), facts(settings, rows))
     if readme is not None:
         replace_table(Path(readme), settings, rows)
-    Console(width=None if os.isatty(1) else 220).print(table(rows))
+    show(rows, Console(width=None if os.isatty(1) else FILE_WIDTH))
     click.echo(LEGEND)
     if out is not None:
         click.echo(f"Written to {out}.")

@@ -6,6 +6,7 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from comparisons.summary import Row
@@ -26,12 +27,12 @@ COLUMNS: dict[str, Cell] = {
     "version": lambda row: row.version,
     "formulation": lambda row: row.formulation,
     "verdict": lambda row: row.verdict,
-    "free: dθ max": _number("free_dtheta_error_max", ".0e"),
-    "median": _number("free_dtheta_error_median", ".0e"),
+    "dθ max": _number("free_dtheta_error_max", ".0e"),
+    "dθ median": _number("free_dtheta_error_median", ".0e"),
     "dX max": _number("free_dx_error_max", ".0e"),
-    "bound: violation": _number("constrained_violation_max", ".0e"),
+    "violation": _number("constrained_violation_max", ".0e"),
     "cost gap": _number("cost_gap_max", ".0e"),
-    "not found": lambda row: f"{row.not_found}/{row.free_steps + row.constrained_steps}" if row.free_steps else "–",
+    "failed": lambda row: f"{row.not_found}/{row.free_steps + row.constrained_steps}" if row.free_steps else "–",
     "p50 [ms]": _number("solve_time_p50_s", ".2f", 1e3),
     "p99 [ms]": _number("solve_time_p99_s", ".1f", 1e3),
     "wound": lambda row: f"{row.wound}/{row.episodes}" if row.episodes else "–",
@@ -42,31 +43,46 @@ COLUMNS: dict[str, Cell] = {
 }
 
 LEGEND = (
-    "free: steps on which no row binds, relative error against Eqs. 12-15; bound: the other steps, worst violation of an "
-    "accepted step relative to its size, and level-1 cost above the best found relative to the cost of not moving; "
-    "p50, p99: build and solve one step; wound, turns (over the ideal), pen., bend, drift: worst of the windings that the "
-    "solver drove itself."
+    "dθ, dX: relative error against Eqs. 12-15 on the free steps, on which no row binds. On the other steps: violation, "
+    "the worst of a row by an accepted step, relative to the step; cost gap, level-1 cost above the best found, relative "
+    "to the cost of not moving. p50, p99: build and solve one step. Wound, turns (over the ideal), penetration, bend, "
+    "drift: worst of the windings that the solver drove itself."
 )
 
 _STYLES = {"agrees": "green", "reference": "cyan", "disagrees": "yellow", "fails": "red"}
 
 
-def table(rows: list[Row], *, markdown: bool = False) -> Table:
-    """Return the table of `rows`."""
-    drawn = Table(box=box.MARKDOWN if markdown else box.SIMPLE_HEAD, show_edge=True)
-    for name in COLUMNS:
+_WHO = ("solver", "formulation")
+_DRIVEN = ("wound", "turns", "pen. [mm]", "bend [rad]", "drift [mm]")
+
+
+def show(rows: list[Row], console: Console) -> None:
+    """Print the table of `rows`; where the console is too narrow, as two: replayed steps, then driven windings."""
+    whole = table(rows, tuple(COLUMNS))
+    unbounded = console.options.update(width=1000)
+    if console.measure(whole, options=unbounded).maximum <= console.width:
+        console.print(whole)
+        return
+    console.print(table(rows, tuple(name for name in COLUMNS if name not in (*_DRIVEN, "version"))))
+    console.print(table([row for row in rows if row.episodes], (*_WHO, *_DRIVEN)))
+
+
+def table(rows: list[Row], columns: tuple[str, ...], *, markdown: bool = False) -> Table:
+    """Return the table of `rows` with some of the `COLUMNS`."""
+    drawn = Table(box=box.MARKDOWN if markdown else box.SIMPLE_HEAD, pad_edge=markdown, collapse_padding=not markdown)
+    for name in columns:
         left = name in ("solver", "version", "formulation", "verdict")
-        drawn.add_column(name, justify="left" if left else "right", no_wrap=True)
+        drawn.add_column(escape(name), justify="left" if left else "right", no_wrap=True)
     for row in rows:
         colour = "" if markdown else _STYLES[row.verdict.split(":")[0]]
-        drawn.add_row(*[cell(row) for cell in COLUMNS.values()], style=colour)
+        drawn.add_row(*[escape(COLUMNS[name](row)) for name in columns], style=colour)
     return drawn
 
 
 def markdown(rows: list[Row], facts: dict[str, Any]) -> str:
     """Return the table with what it was made by, as Markdown."""
     text = io.StringIO()
-    Console(file=text, width=400).print(table(rows, markdown=True))
+    Console(file=text, width=400).print(table(rows, tuple(COLUMNS), markdown=True))
     lines = [line.strip() for line in text.getvalue().splitlines() if line.strip()]
     stated = ", ".join(f"{name} {value}" for name, value in facts.items())
     return "\n".join([*lines, "", LEGEND, "", stated + "."]) + "\n"

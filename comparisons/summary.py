@@ -129,7 +129,7 @@ def _verdict(row: Row) -> str:
     if row.solver == CLOSED_FORM:
         return "reference"
     if row.not_found:
-        return f"fails: {row.not_found} of {row.free_steps + row.constrained_steps} steps"
+        return f"fails: {row.not_found}/{row.free_steps + row.constrained_steps} steps"
     if row.free_dtheta_error_max is not None and row.free_dtheta_error_max > AGREES:
         return f"disagrees: dθ {row.free_dtheta_error_max:.0e}"
     if row.free_dx_error_max is not None and row.free_dx_error_max > AGREES:
@@ -137,7 +137,7 @@ def _verdict(row: Row) -> str:
     if row.cost_gap_max is not None and row.cost_gap_max > AGREES:
         return f"disagrees: cost {row.cost_gap_max:.0e}"
     if row.wound < row.episodes:
-        return f"fails: {row.episodes - row.wound} of {row.episodes} windings"
+        return f"fails: {row.episodes - row.wound}/{row.episodes} windings"
     return "agrees"
 
 

@@ -74,7 +74,7 @@ def test_a_backend_that_is_off_by_a_hundred_thousandth_disagrees(folder: Path) -
 def test_a_backend_that_finds_nothing_is_counted_as_failed(folder: Path) -> None:
     row = rows_of(folder, "silent")["silent"]
     assert row.not_found == 12
-    assert row.verdict == "fails: 12 of 12 steps"
+    assert row.verdict == "fails: 12/12 steps"
     assert row.free_dtheta_error_max is None
 
 

@@ -10,6 +10,7 @@ The oddities were measured on the recorded winding steps (49 joints, whitened st
 - highs adds 1e-7 to its Hessian's diagonal: a zoom removes that.
 - daqp, quadprog, proxqp: where rows bind, the weak directions rest on multipliers of 1e-6, which a shift or a tolerance of
   1e-8 disturbs: a zoom brings dθ from 1e-5 to 1e-8 of the others'.
+- jaxopt_osqp and qpax compute in single precision, and then find nothing, unless the environment sets JAX_ENABLE_X64=1.
 - osqp's polishing writes to standard output where no row binds, even when told to be quiet, so it stays off.
 """
 
@@ -123,7 +124,7 @@ ABILITIES: dict[str, Abilities] = {
         on_request=True,
     ),
     "pyqpmad": Abilities("pyqpmad", semidefinite=False, on_request=True),
-    "qpax": Abilities("qpax", semidefinite=False, zooms=(1e-3, 1e-5), on_request=True),
+    "qpax": Abilities("qpax", lambda a: {"solver_tol": a}, semidefinite=False, zooms=(1e-3, 1e-5), on_request=True),
     "qtqp": Abilities("qtqp", sparse=True, zooms=(1e-3, 1e-5), on_request=True),
 }
 
