@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from prioritized_ik.cli import DISAGREES, writable_folder
+from prioritized_ik.cli import DISAGREES, writable_file, writable_folder
 
 FILE_WIDTH = 260  # of tables that do not go to a terminal
 
@@ -72,7 +72,7 @@ def compare(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from comparisons.report import LEGEND, show
-    from comparisons.results import facts, replace_table, write_folder, write_json
+    from comparisons.results import around_table, facts, replace_table, write_folder, write_json
     from comparisons.run import run
     from comparisons.settings import ComparisonSettings
     from comparisons.summary import summarise
@@ -91,7 +91,9 @@ def compare(
         workers=workers if workers is not None else os.cpu_count() or 1,
     )
     if json_file is not None:
-        writable_folder(Path(json_file).parent)
+        writable_file(json_file)
+    if readme is not None:
+        around_table(Path(writable_file(readme)))
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         if out is not None:

@@ -37,7 +37,7 @@ def facts(settings: ComparisonSettings, rows: list[Row]) -> dict[str, Any]:
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write `content` as JSON."""
-    _write_text(path, json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+    _write_text(path, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def write_folder(
@@ -51,17 +51,27 @@ def write_folder(
     _write_text(folder / "table.md", markdown(rows, _stated(settings)))
 
 
+def around_table(file: Path) -> tuple[str, str]:
+    """Return what stands before and after the place for the table in a Markdown file.
+
+    Raises:
+        InputError: the file has no such place.
+    """
+    before, begin, rest = file.read_text(encoding="utf-8").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise InputError(f"{str(file)!r} has no place for the table; expected the lines {BEGIN!r} and {END!r}.")
+    return before, after
+
+
 def replace_table(file: Path, settings: ComparisonSettings, rows: list[Row]) -> None:
     """Put the table of `rows` between the two markers of a Markdown file.
 
     Raises:
         InputError: the file has no such markers, or cannot be written.
     """
-    before, begin, rest = file.read_text(encoding="utf-8").partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not (begin and end):
-        raise InputError(f"{str(file)!r} has no place for the table; expected the lines {BEGIN!r} and {END!r}.")
-    _write_text(file, f"{before}{begin}\n{markdown(rows, _stated(settings))}{end}{after}")
+    before, after = around_table(file)
+    _write_text(file, f"{before}{BEGIN}\n{markdown(rows, _stated(settings))}{END}{after}")
 
 
 def _stated(settings: ComparisonSettings) -> dict[str, Any]:

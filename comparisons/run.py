@@ -209,6 +209,7 @@ def _judge(item: _Sampled, step: JointStep) -> Record:
         "violation": None,
         "cost": None,
         "cost_at_zero": level.cost(np.zeros_like(item.dtheta)),
+        "dtheta": None if step.dtheta is None else step.dtheta.tolist(),
         "dtheta_error": None,
         "dx_error": None,
     }

@@ -50,7 +50,10 @@ class ComparisonSettings:
         object.__setattr__(self, "solvers", self.solvers or tuple(installed_solvers()))
         for solver in self.solvers:
             get_backend(solver, self.accuracy)
-        for name, values in (("solvers", self.solvers), ("directions", self.directions)):
+        given = (("solvers", self.solvers), ("directions", self.directions), ("formulation", self.formulations))
+        for name, values in given:
+            if not values:
+                raise InputError(f"{name} is empty; expected at least one.")
             if len(set(values)) != len(values):
                 raise InputError(f"{name} names one twice: {', '.join(values)}.")
         for direction in self.directions:

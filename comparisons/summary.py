@@ -30,6 +30,7 @@ class Row:
         constrained_steps: the other replayed steps.
         constrained_violation_max: worst violation of a bound or row by an accepted step, relative to the step.
         cost_gap_max: level-1 cost above the best that any solver found, relative to the cost of not moving.
+        constrained_dtheta_spread_median, constrained_dtheta_spread_max: of dθ on those steps from the median answer.
         not_found: replayed steps without an accepted answer.
         solve_time_p50_s, solve_time_p99_s: of building and solving one step.
         turns_ratio_min, penetration_max_m, bend_max_rad, drift_max_m: worst of the driven episodes.
@@ -47,6 +48,8 @@ class Row:
     constrained_steps: int
     constrained_violation_max: float | None
     cost_gap_max: float | None
+    constrained_dtheta_spread_median: float | None
+    constrained_dtheta_spread_max: float | None
     not_found: int
     solve_time_p50_s: float | None
     solve_time_p99_s: float | None
@@ -67,6 +70,7 @@ class Row:
 def summarise(steps: list[Record], episodes: list[Record]) -> list[Row]:
     """Return the table's rows: the closed form, the lexicographic ones by error, then the others."""
     add_cost_gaps(steps)
+    add_spreads(steps)
     replayed, driven = _by_row(steps), _by_row(episodes)
     rows = [_row(key, replayed.get(key, []), driven.get(key, [])) for key in {**replayed, **driven}]
     order = ("closed form", "lexicographic", "mink", "damped")
@@ -84,6 +88,23 @@ def add_cost_gaps(steps: list[Record]) -> None:
         lowest = best[record["direction"], record["step"]]
         known = record["cost"] is not None and math.isfinite(lowest)
         record["cost_gap"] = (record["cost"] - lowest) / record["cost_at_zero"] if known else None
+
+
+def add_spreads(steps: list[Record]) -> None:
+    """Give every record its `dtheta_spread`: distance of dθ from the median of the lexicographic answers, relative.
+
+    The optimum is unique, so that on a step where rows bind the distance is an error of somebody.
+    """
+    answers: dict[tuple[str, int], list[list[float]]] = defaultdict(list)
+    for record in steps:
+        if record["dtheta"] is not None and record["formulation"] == "lexicographic":
+            answers[record["direction"], record["step"]].append(record["dtheta"])
+    middles = {key: np.median(found, axis=0) for key, found in answers.items()}
+    for record in steps:
+        middle = middles.get((record["direction"], record["step"]))
+        record["dtheta_spread"] = None
+        if record["dtheta"] is not None and middle is not None:
+            record["dtheta_spread"] = float(np.linalg.norm(record["dtheta"] - middle) / np.linalg.norm(middle))
 
 
 def _by_row(records: list[Record]) -> dict[tuple[str, str], list[Record]]:
@@ -110,10 +131,12 @@ def _row(key: tuple[str, str], steps: list[Record], episodes: list[Record]) -> R
         constrained_steps=len(bound),
         constrained_violation_max=_worst(accepted, "violation"),
         cost_gap_max=_worst(accepted, "cost_gap"),
+        constrained_dtheta_spread_median=_median(accepted, "dtheta_spread"),
+        constrained_dtheta_spread_max=_worst(accepted, "dtheta_spread"),
         not_found=sum(not record["found"] for record in steps),
         solve_time_p50_s=float(np.quantile(times, 0.5)) if times else None,
         solve_time_p99_s=float(np.quantile(times, 0.99)) if times else None,
-        turns_ratio_min=min((record["turns_ratio"] for record in episodes), default=None),
+        turns_ratio_min=min(_values(episodes, "turns_ratio"), default=None),
         penetration_max_m=_worst(episodes, "penetration"),
         bend_max_rad=_worst(episodes, "bend"),
         drift_max_m=_worst(episodes, "drift"),
@@ -128,6 +151,8 @@ def _verdict(row: Row) -> str:
     """Return `reference` for the closed form; else what is worst about the row, with its figure, or `agrees`."""
     if row.solver == CLOSED_FORM:
         return "reference"
+    if not row.free_steps + row.constrained_steps:
+        return "fails: no steps"
     if row.not_found:
         return f"fails: {row.not_found}/{row.free_steps + row.constrained_steps} steps"
     if row.free_dtheta_error_max is not None and row.free_dtheta_error_max > AGREES:

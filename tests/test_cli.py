@@ -78,16 +78,21 @@ def test_wind_ends_with_one_when_the_arm_is_not_wound() -> None:
         (["wind", "--diameter", "-0.1"], "diameter is -0.1; expected a finite number above 0"),
         (["wind", "--diameter", "nan"], "diameter is nan"),
         (["wind", "--links", "0"], "links is 0; expected a whole number of at least 1"),
-        (["wind", "--link", "18"], "link is 18; expected 1 to 17"),
+        (["wind", "--link", "18"], "link is 18; expected 1 to 16"),
         (["wind", "--weights", "eq25"], "unknown weights 'eq25'"),
         (["wind", "--shape", "torus"], "unknown shape 'torus'"),
         (["wind", "--formulation", "magic"], "unknown formulation 'magic'"),
         (["wind", "--save", "/no/such/folder/e.npz"], "cannot write into '/no/such/folder'"),
-        (["wind", "--record", "arm.bmp"], "cannot record to 'arm.bmp'; expected a file that ends in .png or .gif"),
+        (["wind", "--record", "arm.bmp"], "unknown kind of picture '.bmp'; choose one of: .png, .gif"),
         (["compare", "--solvers", "daqp,nosuch"], "unknown solver 'nosuch'"),
         (["compare", "--solvers", "daqp,daqp"], "solvers names one twice"),
         (["compare", "--directions", "up,left"], "unknown direction 'left'"),
         (["compare", "--formulation", "magic"], "unknown formulation 'magic'"),
+        (["wind", "--link", "17"], "link is 17; expected 1 to 16, so that a link is left to wind"),
+        (["wind", "--save", ""], "cannot write to ''; expected the name of a file"),
+        (["compare", "--json", ""], "cannot write to ''; expected the name of a file"),
+        (["compare", "--directions", ""], "directions is empty; expected at least one"),
+        (["compare", "--formulation", "damped,damped"], "formulation names one twice"),
         (["compare", "--steps", "0"], "steps is 0"),
         (["compare", "--workers", "0"], "workers is 0"),
         (["compare", "--accuracy", "2"], "accuracy is 2.0"),
@@ -162,7 +167,7 @@ def test_compare_replaces_the_table_of_a_page_and_nothing_else(compared: tuple[P
 def test_a_page_without_the_markers_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = tmp_path / "page.md"
     page.write_text("nothing here\n")
-    monkeypatch.setattr("comparisons.run.run", lambda *_: ([], []))
+    monkeypatch.setattr("comparisons.run.run", lambda *_: pytest.fail("the page is looked at first"))
     result = call("compare", "--solvers", "daqp", "--readme", str(page))
     assert result.exit_code == 2
     assert "has no place for the table" in result.output
@@ -172,6 +177,7 @@ def test_a_page_without_the_markers_is_refused(tmp_path: Path, monkeypatch: pyte
 def test_strict_ends_with_one_when_a_row_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
     step = {
         "direction": "up", "step": 0, "free": True, "found": True, "violation": 0.0, "cost": 1.0, "cost_at_zero": 2.0,
+        "dtheta": [0.0, 1.0],
         "dtheta_error": 1e-3, "dx_error": 1e-9, "solve_s": 1e-3, "solver": "daqp", "formulation": "lexicographic",
     }  # fmt: skip
     monkeypatch.setattr("comparisons.run.run", lambda *_: ([step], []))

@@ -121,3 +121,18 @@ def test_minks_limits_bind_where_ours_do(folder: Path) -> None:
         for mine, other in zip(sorted(ours.items()), sorted(theirs.items()), strict=True):
             assert np.allclose(mine[0], other[0], atol=1e-4)
             assert mine[1] == pytest.approx(other[1], abs=1e-9)
+
+
+@pytest.mark.usefixtures("crooked")
+def test_steps_of_a_backend_that_is_off_lie_apart_where_rows_bind(folder: Path) -> None:
+    rows = rows_of(folder, "daqp", "quadprog", "off")
+    assert rows["daqp"].constrained_dtheta_spread_max <= 1e-6
+    assert rows["off"].constrained_dtheta_spread_max > 1e-6
+
+
+def test_no_replayed_step_is_no_agreement() -> None:
+    episode = {"direction": "up", "solver": "daqp", "formulation": "lexicographic", "outcome": "WOUND", "turns_ratio": None,
+               "penetration": 0.0, "bend": 0.0, "drift": 0.0}  # fmt: skip
+    (row,) = summarise([], [episode])
+    assert row.verdict == "fails: no steps"
+    assert row.turns_ratio_min is None

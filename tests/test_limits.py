@@ -69,7 +69,7 @@ class Scene:
 
     def rows(self, **options: float) -> Rows:
         touch = self.read()
-        return contact_rows(self.model, self.data, touch, self.sensor.bodies, **options)
+        return contact_rows(self.sensor, self.data, touch, **options)
 
     def gradient(self) -> np.ndarray:
         """Derivative of every link's distance by differences of re-read distances."""
@@ -243,7 +243,8 @@ def test_a_joint_outside_its_range_is_named_in_a_model_with_a_free_joint() -> No
 
 def test_joints_without_a_name_get_their_number() -> None:
     names = joint_names(mujoco.MjModel.from_xml_string(MIXED))
-    assert names == (*["root"] * 6, *["ball"] * 3, "slide", "joint 11", "hinge")
+    root, ball = [f"root[{i}]" for i in range(1, 7)], [f"ball[{i}]" for i in range(1, 4)]
+    assert names == (*root, *ball, "slide", "joint 4", "hinge")
 
 
 def test_joint_positions_of_no_use_are_refused(paper_arm: Bench) -> None:
@@ -276,3 +277,33 @@ def test_range_and_step_bounds_together_keep_both(paper_arm: Bench) -> None:
 def test_a_step_limit_that_is_not_positive_is_refused(paper_arm: Bench, bad: float) -> None:
     with pytest.raises(InputError, match=f"max_step is {bad}"):
         step_bounds(paper_arm.model, bad)
+
+
+def test_contact_rows_against_an_object_that_moves_are_the_gradient_too() -> None:
+    spec = Arm(links=3).spec()
+    carriage = spec.worldbody.add_body(name="carriage", pos=[0.09, 0.01, 0.1])
+    carriage.add_joint(name="slide", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.3, 1.0])
+    square = [np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]
+    carriage.add_geom(name="object", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.05, 0.2, 0.0], quat=square)
+    model = spec.compile()
+    data, sensor = mujoco.MjData(model), TouchSensor(model, ["link_1", "link_2", "link_3"])
+    q = np.array([0.1, -0.2, 0.1, 0.2, 0.1, -0.1, 0.3, 0.01])
+
+    def distance(position: np.ndarray) -> np.ndarray:
+        update_kinematics(model, data, position)
+        return sensor.read(data).distance
+
+    step = 1e-6
+    slopes = [(distance(q + step * e) - distance(q - step * e)) / (2 * step) for e in np.eye(model.nv)]
+    update_kinematics(model, data, q)
+    rows = contact_rows(sensor, data, sensor.read(data), margin=1.0)
+    assert np.abs(np.transpose(slopes) + rows.matrix).max() < 1e-5
+    assert np.abs(rows.matrix[:, -1]).min() > 0.1
+
+
+def test_joints_of_several_degrees_of_freedom_are_numbered() -> None:
+    spec = mujoco.MjSpec()
+    body = spec.worldbody.add_body(name="base")
+    body.add_joint(name="root", type=mujoco.mjtJoint.mjJNT_FREE)
+    body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0.0, 0.0])
+    assert joint_names(spec.compile()) == tuple(f"root[{i}]" for i in range(1, 7))

@@ -109,7 +109,7 @@ def test_names_must_be_as_many_as_rows():
 
 
 def test_a_problem_without_levels_is_refused():
-    with pytest.raises(InputError, match="levels is empty"):
+    with pytest.raises(InputError, match=r"levels is \[\]; expected a list of at least one Level"):
         IKProblem([])
 
 

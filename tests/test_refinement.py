@@ -8,6 +8,8 @@ from prioritized_ik.solvers import refinement
 from prioritized_ik.solvers.refinement import proximal_point, zoom_in
 from prioritized_ik.solvers.stages import Stage
 
+SHIFT = 1e-6  # the default of the table of abilities
+
 
 class GaveUpError(Exception):
     pass
@@ -77,7 +79,7 @@ def to_rest(monkeypatch):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_proximal_point_rests_at_the_semidefinite_stages_optimum(seed):
     stage, optimum = semidefinite_stage(seed)
-    x = proximal_point(stage, quadprog, GaveUpError)(stage.problem)
+    x = proximal_point(stage, quadprog, SHIFT, GaveUpError)(stage.problem)
     assert x[:3] == pytest.approx(optimum[:3], abs=1e-9)
     assert (stage.problem.G @ x - stage.problem.h).max() <= 1e-9
 
@@ -85,7 +87,7 @@ def test_the_proximal_point_rests_at_the_semidefinite_stages_optimum(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_proximal_point_as_it_is_and_one_zoom_find_the_semidefinite_stages_optimum(seed):
     stage, optimum = semidefinite_stage(seed)
-    solve = proximal_point(stage, quadprog, GaveUpError)
+    solve = proximal_point(stage, quadprog, SHIFT, GaveUpError)
     x = zoom_in(stage, solve(stage.problem), (1e-3,), solve, GaveUpError)
     assert x[:3] == pytest.approx(optimum[:3], abs=1e-9)
     assert (stage.problem.G @ x - stage.problem.h).max() <= 1e-9
@@ -94,29 +96,28 @@ def test_the_proximal_point_as_it_is_and_one_zoom_find_the_semidefinite_stages_o
 @pytest.mark.parametrize("seed", SEEDS)
 def test_one_round_with_a_large_shift_misses_the_optimum(seed, monkeypatch):
     monkeypatch.setattr(refinement, "PROXIMAL_ROUNDS", 1)
-    monkeypatch.setattr(refinement, "PROXIMAL_SHIFT", 1.0)
     stage, optimum = semidefinite_stage(seed)
-    x = proximal_point(stage, quadprog, GaveUpError)(stage.problem)
+    x = proximal_point(stage, quadprog, 1.0, GaveUpError)(stage.problem)
     assert np.abs(x[:3] - optimum[:3]).max() > 1e-3
 
 
 def test_the_proximal_point_leaves_the_callers_problem_alone():
     stage, _ = semidefinite_stage(0)
     before = stage.problem.P.copy(), stage.problem.q.copy()
-    proximal_point(stage, quadprog, GaveUpError)(stage.problem)
+    proximal_point(stage, quadprog, SHIFT, GaveUpError)(stage.problem)
     assert np.array_equal(stage.problem.P, before[0])
     assert np.array_equal(stage.problem.q, before[1])
 
 
 def test_a_stage_that_costs_every_variable_needs_no_proximal_point():
-    assert proximal_point(free_stage(np.ones(2)), quadprog, GaveUpError) is quadprog
+    assert proximal_point(free_stage(np.ones(2)), quadprog, SHIFT, GaveUpError) is quadprog
 
 
 def test_the_proximal_point_stops_as_soon_as_it_rests():
     solve, seen = counted(quadprog)
     hessian = np.diag([1.0, 0.0])
     stage = Stage(qpsolvers.Problem(hessian, np.array([-1.0, 0.0])), np.zeros(2), np.eye(2), costed=1)
-    assert proximal_point(stage, solve, GaveUpError)(stage.problem) == pytest.approx([1.0, 0.0], abs=1e-12)
+    assert proximal_point(stage, solve, SHIFT, GaveUpError)(stage.problem) == pytest.approx([1.0, 0.0], abs=1e-12)
     assert len(seen) == 1
 
 
@@ -145,19 +146,19 @@ def test_the_answer_so_far_stays_when_a_later_round_gives_up():
     stage = shifting_stage()
     _, seen = proximal_rounds(stage)
     assert len(seen) > 1
-    x = proximal_point(stage, gives_up_from(2), GaveUpError)(stage.problem)
+    x = proximal_point(stage, gives_up_from(2), SHIFT, GaveUpError)(stage.problem)
     assert x == pytest.approx(quadprog(seen[0]), abs=1e-12)
 
 
 def proximal_rounds(stage: Stage) -> tuple[np.ndarray, list[qpsolvers.Problem]]:
     solve, seen = counted(quadprog)
-    return proximal_point(stage, solve, GaveUpError)(stage.problem), seen
+    return proximal_point(stage, solve, SHIFT, GaveUpError)(stage.problem), seen
 
 
 def test_a_first_round_that_gives_up_has_no_answer():
     stage = shifting_stage()
     with pytest.raises(GaveUpError):
-        proximal_point(stage, gives_up_from(1), GaveUpError)(stage.problem)
+        proximal_point(stage, gives_up_from(1), SHIFT, GaveUpError)(stage.problem)
 
 
 @pytest.mark.usefixtures("to_rest")

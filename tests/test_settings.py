@@ -46,7 +46,7 @@ def test_a_setting_that_is_unknown_is_refused():
 
 def test_a_value_out_of_range_in_json_is_refused():
     content = json.loads(WindingSettings().to_json()) | {"link": 99}
-    with pytest.raises(InputError, match="link is 99; expected 1 to 17"):
+    with pytest.raises(InputError, match="link is 99; expected 1 to 16"):
         WindingSettings.from_json(json.dumps(content))
 
 
@@ -57,7 +57,7 @@ BAD = {
     "shape": ({"shape": "torus"}, "unknown shape 'torus'"),
     "size": ({"size": (0.07,)}, "size of a cylinder"),
     "link 0": ({"link": 0}, "link is 0"),
-    "link 18": ({"link": 18}, "link is 18; expected 1 to 17"),
+    "link 18": ({"link": 18}, "link is 18; expected 1 to 16"),
     "tilt": ({"tilt": 1.3}, r"tilt is 1\.3"),
     "tilt nan": ({"tilt": math.nan}, "tilt is nan"),
     "speed": ({"speed": 0.0}, r"speed is 0\.0"),

@@ -316,7 +316,7 @@ def test_an_unknown_kind_is_refused(paper_arm: Bench) -> None:
 
 
 def test_no_point_at_all_is_refused(paper_arm: Bench) -> None:
-    with pytest.raises(ModelError, match="points is empty"):
+    with pytest.raises(ModelError, match=r"points is \[\]; expected a list of at least one"):
         VirtualArms(paper_arm.model, [])
 
 

@@ -12,6 +12,7 @@ from .problem import Bounds as Bounds
 from .problem import IKProblem as IKProblem
 from .problem import Level as Level
 from .problem import Rows as Rows
+from .touch import TouchSensor as TouchSensor
 from .limits import contact_rows as contact_rows
 from .limits import joint_range_bounds as joint_range_bounds
 from .limits import step_bounds as step_bounds
@@ -19,6 +20,7 @@ from .limits import step_bounds as step_bounds
 # solve
 from .solvers.lexicographic import SolveOptions as SolveOptions
 from .solvers.lexicographic import solve as solve
+from .solvers.step import JointStep as JointStep
 from .solvers.backends.registry import installed_solvers as installed_solvers
 
 # winding
@@ -29,3 +31,4 @@ from .winding.metrics import measure as measure
 
 # errors
 from .errors import PrioritizedIkError as PrioritizedIkError
+from .errors import StepNotFoundError as StepNotFoundError

@@ -11,7 +11,9 @@ import click
 
 from prioritized_ik.errors import PrioritizedIkError
 
-DONE, DISAGREES, BAD_INPUT = 0, 1, 2
+DISAGREES, BAD_INPUT = 1, 2  # exit codes
+
+PICTURES = (".png", ".gif")
 
 
 class BadInput(click.ClickException):
@@ -50,7 +52,8 @@ class CommandGroup(click.Group):
 def main() -> None:
     """Prioritized inverse kinematics on MuJoCo: exact, constrained, with whichever QP solver you like.
 
-    Exit codes: 0 done; 1 done, and something that must agree does not; 2 bad usage or input.
+    Exit codes: 0 done; 1 done, but the arm is not wound (wind) or a solver does not agree (compare --strict); 2 bad
+    usage or input.
     """
 
 
@@ -90,6 +93,8 @@ def wind(
     record: str | None,
 ) -> None:
     """Wind the arm around an object by touch alone, and print how it went."""
+    from threadpoolctl import threadpool_limits
+
     from prioritized_ik.models import Arm
     from prioritized_ik.solvers.lexicographic import SolveOptions
     from prioritized_ik.validation import one_of, positive
@@ -100,9 +105,10 @@ def wind(
 
     one_of("shape", shape, ROUND_SHAPES)
     radius = positive("diameter", diameter) / 2.0
-    for path in (save, record):
-        if path is not None:
-            writable_folder(Path(path).parent)
+    if save is not None:
+        writable_file(save)
+    if record is not None:
+        one_of("kind of picture", Path(writable_file(record)).suffix.lower(), PICTURES)
     free = solver == CLOSED_FORM  # the closed form knows no limits
     settings = WindingSettings(
         arm=Arm(links=links),
@@ -120,13 +126,15 @@ def wind(
         solver=solver,
         options=SolveOptions(formulation=formulation),
     )
-    episode = run(settings)
+    with threadpool_limits(1):  # matrices this small only lose by more
+        episode = run(settings)
     metrics = measure(episode)
     click.echo(f"outcome      {episode.outcome.value}")
     if episode.message:
         click.echo(f"             {episode.message}")
     click.echo(f"steps        {metrics.steps}")
-    click.echo(f"turns        {metrics.turns:.3f} ({metrics.turns_ratio:.3f} of the ideal)")
+    of_ideal = "" if metrics.turns_ratio is None else f" ({metrics.turns_ratio:.3f} of the ideal)"
+    click.echo(f"turns        {metrics.turns:.3f}{of_ideal}")
     click.echo(f"penetration  {metrics.penetration * 1e3:.2f} mm")
     click.echo(f"bend         {metrics.bend:.3f} rad")
     click.echo(f"drift        {metrics.drift * 1e3:.2f} mm")
@@ -140,6 +148,20 @@ def wind(
         click.echo(f"recorded     {record}")
     if episode.outcome is not Outcome.WOUND:
         raise SystemExit(DISAGREES)
+
+
+def writable_file(path: str) -> str:
+    """Return `path` if a file can be written there.
+
+    Raises:
+        PrioritizedIkError: it has no name, is a folder, or its folder is not writable.
+    """
+    from prioritized_ik.errors import InputError
+
+    if not Path(path).name or Path(path).is_dir():
+        raise InputError(f"cannot write to {path!r}; expected the name of a file.")
+    writable_folder(Path(path).parent)
+    return path
 
 
 def writable_folder(folder: Path) -> Path:

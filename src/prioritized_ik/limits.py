@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Rows
-from prioritized_ik.touch import Touch
+from prioritized_ik.touch import Touch, TouchSensor
 from prioritized_ik.validation import finite_array, non_negative, positive
 
 _SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -14,9 +14,13 @@ OUTSIDE = 1e-4  # [rad] a joint this far outside its range is rounding of accept
 
 
 def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return one name a degree of freedom `(m,)`, that of its joint."""
-    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) for joint in model.dof_jntid]
-    return tuple(name or f"joint {i + 1}" for i, name in enumerate(names))
+    """Return one name a degree of freedom `(m,)`: that of its joint, numbered from 1 where the joint has several."""
+    names = []
+    for dof, joint in enumerate(model.dof_jntid):
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint {joint + 1}"
+        several = np.count_nonzero(model.dof_jntid == joint) > 1
+        names.append(f"{name}[{dof - model.jnt_dofadr[joint] + 1}]" if several else name)
+    return tuple(names)
 
 
 def joint_range_bounds(model: mujoco.MjModel, q: ArrayLike) -> Bounds:
@@ -45,16 +49,20 @@ def joint_range_bounds(model: mujoco.MjModel, q: ArrayLike) -> Bounds:
 
 
 def step_bounds(model: mujoco.MjModel, max_step: float) -> Bounds:
-    """Return bounds of plus and minus `max_step` [rad] on every joint's step."""
+    """Return bounds of plus and minus `max_step` [rad, m for slides] on every joint's step."""
     limit = np.full(model.nv, positive("max_step", max_step))
     return Bounds(-limit, limit, joint_names(model))
 
 
+def contact_row_name(link: int) -> str:
+    """Return what the contact row of `link` (from 1) is called."""
+    return f"contact of link {link}"
+
+
 def contact_rows(
-    model: mujoco.MjModel,
+    sensor: TouchSensor,
     data: mujoco.MjData,
     touch: Touch,
-    bodies: list[int],
     *,
     min_distance: float = 0.0,
     gain: float = 1.0,
@@ -62,14 +70,14 @@ def contact_rows(
 ) -> Rows:
     """Return rows that keep links from coming closer than `min_distance` to the object.
 
-    n·J_c dθ >= -gain max(d - d_min, 0), with n the normal into the link and J_c the Jacobian of the link's nearest
-    point: n·J_c is the gradient of the distance. The right side is never positive, so dθ = 0 always holds.
+    n·J_c dθ >= -gain max(d - d_min, 0), with n the normal into the link and J_c the Jacobian of the link's nearest point
+    less that of the object's: n·J_c is the gradient of the distance. The right side is never positive, so dθ = 0 always
+    holds.
 
     Args:
-        model: the MuJoCo model.
-        data: its state, with `mj_kinematics` and `mj_comPos` done.
-        touch: the reading at that state.
-        bodies: the body of each link `(n,)`.
+        sensor: knows the model, the links and the object.
+        data: the model's state, with `mj_kinematics` and `mj_comPos` done.
+        touch: the sensor's reading at that state.
         min_distance: d_min [m].
         gain: how much of the remaining gap one step may close, in (0, 1].
         margin: only links nearer than this get a row [m].
@@ -78,10 +86,13 @@ def contact_rows(
         raise InputError(f"gain is {gain!r}; expected a number above 0 and up to 1.")
     non_negative("min_distance", min_distance)
     near = np.flatnonzero(touch.distance < positive("margin", margin))
+    model = sensor.model
     matrix = np.empty((near.size, model.nv))
-    jacobian = np.empty((3, model.nv))
+    of_link, of_object = np.empty((3, model.nv)), np.empty((3, model.nv))
     for row, link in zip(matrix, near, strict=True):
-        mujoco.mj_jac(model, data, jacobian, None, touch.point[link], bodies[link])
-        row[:] = -touch.normal[link] @ jacobian
+        opposite = touch.point[link] - touch.distance[link] * touch.normal[link]
+        mujoco.mj_jac(model, data, of_link, None, touch.point[link], sensor.bodies[link])
+        mujoco.mj_jac(model, data, of_object, None, opposite, sensor.object_body)
+        row[:] = -touch.normal[link] @ (of_link - of_object)
     upper = gain * np.maximum(touch.distance[near] - min_distance, 0.0)
-    return Rows(matrix, upper, tuple(f"contact of link {link + 1}" for link in near))
+    return Rows(matrix, upper, tuple(contact_row_name(int(link) + 1) for link in near))

@@ -225,7 +225,11 @@ def winding_model(arm: Arm, wound: WindingObject) -> mujoco.MjModel:
 
 
 def update_kinematics(model: mujoco.MjModel, data: mujoco.MjData, q: ArrayLike) -> None:
-    """Set the joint positions `(nq,)` and bring all positions and the terms for Jacobians up to date."""
-    data.qpos[:] = q
+    """Set the joint positions `(nq,)` and bring all positions and the terms for Jacobians up to date.
+
+    Raises:
+        InputError: positions of another shape, or not finite.
+    """
+    data.qpos[:] = finite_array("q", q, (model.nq,))
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)

@@ -138,8 +138,11 @@ class IKProblem:
         rows: Rows | None = None,
         reference: ArrayLike | None = None,
     ) -> None:
-        if not levels:
-            raise InputError("levels is empty; expected at least one Level.")
+        if isinstance(levels, Level) or not levels or not all(isinstance(level, Level) for level in levels):
+            raise InputError(f"levels is {levels!r}; expected a list of at least one Level.")
+        for name, given, kind in (("bounds", bounds, Bounds), ("rows", rows, Rows)):
+            if given is not None and not isinstance(given, kind):
+                raise InputError(f"{name} is {given!r}; expected {kind.__name__} or None.")
         m = levels[0].matrix.shape[1]
         _set(
             self,

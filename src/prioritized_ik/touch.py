@@ -53,6 +53,7 @@ class TouchSensor:
             if model.geom_type[geom] not in (_CAPSULE, _SPHERE):
                 kind = mujoco.mjtGeom(model.geom_type[geom]).name
                 raise ModelError(f"link geom {name!r} is a {kind}; expected a capsule or a sphere.")
+        self.object_body = int(model.geom_bodyid[self._object])
         self.bodies = [int(model.geom_bodyid[geom]) for geom in self._links]
         self._is_capsule = model.geom_type[self._links] == _CAPSULE
         self._half_lengths = np.where(self._is_capsule, model.geom_size[self._links, 1], 0.0)  # (n,) [m]

@@ -62,8 +62,9 @@ class VirtualArms:
     """
 
     def __init__(self, model: mujoco.MjModel, points: Sequence[EndPoint | str], axes: str = "xyz") -> None:
-        if not points:
-            raise ModelError("points is empty; expected at least one end point.")
+        wrong = [point for point in points if not isinstance(point, str | EndPoint)]
+        if isinstance(points, str) or not points or wrong:
+            raise ModelError(f"points is {points!r}; expected a list of at least one site name or EndPoint.")
         if not axes or len(set(axes)) != len(axes) or set(axes) - set("xyz"):
             raise ModelError(f"axes is {axes!r}; expected some of x, y and z, each once, such as 'xyz' or 'xy'.")
         self.model = model

@@ -3,6 +3,9 @@
 dX_v = J dθ with J `(L, m)` of rank p is solved in two steps: J = J_a J_b with both factors of full rank p; then weighted
 least squares for dX_b = J_b dθ, and the least-norm dθ for that. No product JᵀWJ is formed: weights 200 and 0.01 alone
 would square to a condition number near 2e8.
+
+Shapes throughout: J_a `(L, p)` and J_b `(p, m)`, both of full rank; `weights`, the diagonal of W, `(L,)`; `dx_desired`
+`(L,)` [m]; `dx_b` `(p,)`; `reference`, r, `(m,)` [rad].
 """
 
 from collections.abc import Sequence

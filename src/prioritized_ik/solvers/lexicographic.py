@@ -49,6 +49,7 @@ class SolveOptions:
         one_of("formulation", self.formulation, FORMULATIONS)
         non_negative("damping", self.damping)
         fraction("rank_tolerance", self.rank_tolerance)
+        fraction("accuracy", self.accuracy)
 
 
 def solve(problem: IKProblem, solver: str = "daqp", options: SolveOptions | None = None) -> JointStep:
@@ -92,8 +93,9 @@ def joint_step(problem: IKProblem, backend: Backend, options: SolveOptions) -> J
     return replace(step, timings=timings, calls=clock.calls)
 
 
-def first_stage(problem: IKProblem, options: SolveOptions) -> Stage:
-    """Return the first stage of `problem` to look at: `stage.problem` is a plain `qpsolvers.Problem`."""
+def first_stage(problem: IKProblem, options: SolveOptions | None = None) -> Stage:
+    """Return the first stage of `problem` to look at: its `problem` is a plain `qpsolvers.Problem`."""
+    options = options or SolveOptions()
     if options.formulation == "damped":
         return damped_stage(problem, _only_level(problem), options.damping)
     return task_stage(problem.levels[0], Room.whole(problem), options.rank_tolerance)

@@ -3,7 +3,8 @@
 Two devices, both of which solve the stage's own QP:
 
 *Proximal point.* A solver that needs a positive definite Hessian gets ½ρ‖z - z_k‖² added for the variables z without cost,
-and is called again from its own answer until z rests. The shift then is no longer in the answer.
+and is called again from its own answer, until z rests or the rounds are over. What the shift leaves in the answer shrinks
+with every round.
 
 *Zooming in*, the scaled iterative refinement of Weber, Sager and Gleixner (Math. Prog. Comp. 11, 2019), primal part. With
 x = x_0 + ε d the same QP is posed for d, its cost divided by ε², so that a tolerance in d is ε times as large in x. It
@@ -21,14 +22,16 @@ from prioritized_ik.validation import Array
 
 SolveOnce = Callable[[qpsolvers.Problem], Array]
 
-PROXIMAL_SHIFT = 1e-6  # ρ: costed variables weigh 1, so that z moves freely but Cholesky factors exist
-PROXIMAL_ROUNDS = 2  # a round shrinks what the shift leaves by ρ/(ρ + a²), a the slope of the rows; each zoom adds rounds
+PROXIMAL_ROUNDS = 2  # of one solve; every zoom adds as many
 RESTED = 1e-10  # ρ‖z - z_k‖ below this leaves no trace in the costed variables
 SETTLED = 1e-9  # zooming stops once it moves the joint step by less than this fraction
 
 
-def proximal_point(stage: Stage, solve_once: SolveOnce, gave_up: type[Exception]) -> SolveOnce:
+def proximal_point(stage: Stage, solve_once: SolveOnce, shift: float, gave_up: type[Exception]) -> SolveOnce:
     """Return `solve_once` for problems with this stage's Hessian, made positive definite without changing the optimum.
+
+    A round shrinks what the shift ρ leaves by ρ/(ρ + a²), a the slope of the rows that tie z to the cost: a smaller shift is
+    better, as far as the solver's own numerics allow.
 
     A later round that raises `gave_up` ends the rounds; the answer so far stays, as it is the solver's own.
     """
@@ -38,15 +41,15 @@ def proximal_point(stage: Stage, solve_once: SolveOnce, gave_up: type[Exception]
 
     def shifted(problem: qpsolvers.Problem, z: Array) -> Array:
         hessian, linear = problem.P.copy(), problem.q.copy()
-        hessian[range(stage.costed, stage.size), range(stage.costed, stage.size)] += PROXIMAL_SHIFT
-        linear[unfelt] -= PROXIMAL_SHIFT * z
+        hessian[range(stage.costed, stage.size), range(stage.costed, stage.size)] += shift
+        linear[unfelt] -= shift * z
         return solve_once(qpsolvers.Problem(hessian, linear, problem.G, problem.h))
 
     def solve(problem: qpsolvers.Problem) -> Array:
         z = np.zeros(stage.size - stage.costed)
         x = shifted(problem, z)
         for _ in range(PROXIMAL_ROUNDS - 1):
-            if PROXIMAL_SHIFT * np.abs(x[unfelt] - z).max() <= RESTED:
+            if shift * np.abs(x[unfelt] - z).max() <= RESTED:
                 break
             z = x[unfelt]
             try:

@@ -36,7 +36,7 @@ class Stage:
     """One QP in scaled variables x `(v,)`, and the way back: dθ = `origin` + `basis` @ x.
 
     Attributes:
-        problem: minimise ½ xᵀPx + qᵀx subject to Gx <= h (and bounds): any qpsolvers backend can be called on it.
+        problem: minimise ½ xᵀPx + qᵀx subject to Gx <= h: any qpsolvers backend can be called on it.
         origin: dθ at x = 0 `(m,)`.
         basis: `(m, v)`.
         costed: how many of the variables, the first ones, the cost feels.

@@ -107,10 +107,9 @@ class WindingController:
             bounds = joint_range_bounds(self.model, q).intersect(self._step_bounds)
         if settings.contacts:
             rows = contact_rows(
-                self.model,
+                self.sensor,
                 self.data,
                 situation.touch,
-                self.sensor.bodies,
                 min_distance=settings.min_distance,
                 gain=settings.contact_gain,
             )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from prioritized_ik.errors import EpisodeFileError, InputError
 from prioritized_ik.files import write_whole
+from prioritized_ik.limits import contact_row_name
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
 from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.closed_form import strict_solution
@@ -109,7 +110,7 @@ class Episode:
         rows = Rows(
             self.row_matrix[step, links],
             self.row_upper[step, links],
-            tuple(f"contact of link {link + 1}" for link in links),
+            tuple(contact_row_name(int(link) + 1) for link in links),
         )
         return IKProblem((level,), Bounds(self.lower[step], self.upper[step], self._joint_names), rows)
 
@@ -258,8 +259,9 @@ def _closed_form_step(problem: IKProblem, rank_tolerance: float) -> JointStep:
 def _record(problem: IKProblem, step: JointStep, links: int) -> dict[str, Any]:
     level, m = problem.levels[0], problem.joint_count
     matrix, upper = np.zeros((links, m)), np.full(links, np.inf)
+    place = {contact_row_name(link + 1): link for link in range(links)}
     for name, row, side in zip(problem.rows.names, problem.rows.matrix, problem.rows.upper, strict=True):
-        link = int(name.rsplit(" ", 1)[1]) - 1
+        link = place[name]
         matrix[link], upper[link] = row, side
     return {
         "desired": level.target,

@@ -22,8 +22,8 @@ class WindingMetrics:
 
     Attributes:
         turns: turns of the wound links about the object's axis.
-        turns_ratio: over the geometric ideal; NaN for an object that is not round.
-        penetration: deepest of any link at any time [m]; negative if none touched.
+        turns_ratio: over the geometric ideal; None for an object that is not round.
+        penetration: deepest of any link at any time [m]; negative: the least clearance.
         bend: largest angle between neighbouring links at any time [rad].
         hinge_excess: how far any hinge was outside its range [rad]; negative inside.
         drift: largest motion of a link end after its link had been wound [m].
@@ -33,7 +33,7 @@ class WindingMetrics:
     """
 
     turns: float
-    turns_ratio: float
+    turns_ratio: float | None
     penetration: float
     bend: float
     hinge_excess: float
@@ -50,13 +50,13 @@ def measure(episode: Episode) -> WindingMetrics:
     wound = settings.wound_object()
     middles = episode.positions[-1] - 0.5 * settings.arm.link_length * episode.directions[-1]
     turns = turns_about(middles[first - 1 :], wound.position, wound.rotation)
-    ideal = math.nan
+    ideal = None
     if settings.shape in ROUND_SHAPES:
         angle = ideal_angle(settings.arm.link_length, settings.size[0] + settings.arm.radius, settings.tilt)
         ideal = (settings.arm.links - first) * angle / (2.0 * math.pi)
     return WindingMetrics(
         turns=turns,
-        turns_ratio=turns / ideal if ideal else math.nan,
+        turns_ratio=turns / ideal if ideal else None,
         penetration=-float(episode.distance.min()),
         bend=float(bends(episode.directions).max(initial=0.0)),
         hinge_excess=float(np.abs(episode.q).max()) - settings.arm.joint_range,

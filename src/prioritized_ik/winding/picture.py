@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.errors import InputError
+from prioritized_ik.files import write_whole
 from prioritized_ik.models import WindingObject, update_kinematics
 from prioritized_ik.winding.episode import Episode
 
@@ -52,7 +53,7 @@ def record(episode: Episode, path: str | Path) -> None:
     """Write the last state to a `.png`, or the whole winding to a `.gif`.
 
     Raises:
-        InputError: another kind of file, or no way to render here.
+        InputError: another kind of file, no way to render here, or a place that is not writable.
     """
     from PIL import Image
 
@@ -67,7 +68,11 @@ def record(episode: Episode, path: str | Path) -> None:
         raise InputError(
             f"cannot render here ({error}); without a display set MUJOCO_GL=egl (Debian: libegl1 and libgl1-mesa-dri)."
         ) from error
-    pictures[0].save(path, save_all=kind == ".gif", append_images=pictures[1:], duration=FRAME_MILLISECONDS, loop=0)
+    rest = {"save_all": kind == ".gif", "append_images": pictures[1:], "duration": FRAME_MILLISECONDS, "loop": 0}
+    try:
+        write_whole(path, lambda file: pictures[0].save(file, kind[1:], **rest))
+    except OSError as error:
+        raise InputError(f"cannot write {str(path)!r} ({error}); choose a place that is writable.") from error
 
 
 def _cut_to_view(wound: WindingObject) -> WindingObject:

@@ -83,13 +83,13 @@ class WindingSettings:
         one_of("direction", self.direction, DIRECTIONS)
         one_of("posture", self.posture, POSTURES)
         one_of("weights", self.weights, FREE)
-        if not 1 <= self.link <= self.arm.links:
-            raise InputError(f"link is {self.link}; expected 1 to {self.arm.links}.")
+        if at_least("link", self.link, 1) >= self.arm.links:
+            raise InputError(f"link is {self.link}; expected 1 to {self.arm.links - 1}, so that a link is left to wind.")
         for name in ("speed", "dt", "contact_distance", "release_distance", "max_step"):
             positive(name, getattr(self, name))
         for name in ("gap", "dead_band", "min_distance"):
             non_negative(name, getattr(self, name))
-        if not abs(self.tilt) < 1.2:
+        if not isinstance(self.tilt, int | float) or not abs(self.tilt) < 1.2:
             raise InputError(f"tilt is {self.tilt!r}; expected less than 1.2 rad to either side.")
         if not 0.0 < self.contact_gain <= 1.0:
             raise InputError(f"contact_gain is {self.contact_gain!r}; expected a number above 0 and up to 1.")

@@ -9,7 +9,8 @@ The oddities were measured on the recorded winding steps (49 joints, whitened st
 - ecos minimises through an epigraph cone: a cost right to ε leaves x right to about √ε only. Three zooms.
 - highs adds 1e-7 to its Hessian's diagonal: a zoom removes that.
 - daqp, quadprog, proxqp: where rows bind, the weak directions rest on multipliers of 1e-6, which a shift or a tolerance of
-  1e-8 disturbs: a zoom brings dθ from 1e-5 to 1e-8 of the others'.
+  1e-8 disturbs: a zoom brings dθ from 1e-5 to 1e-8 of the others'. A shift of 1e-6 leaves two steps in 356 off by 70 %, at a
+  cost within 1e-9; daqp and quadprog bear 1e-8, which finds them. highs, ecos and cvxopt gain nothing by it.
 - jaxopt_osqp and qpax compute in single precision, and then find nothing, unless the environment sets JAX_ENABLE_X64=1.
 - osqp's polishing writes to standard output where no row binds, even when told to be quiet, so it stays off.
 """
@@ -30,8 +31,9 @@ class Abilities:
         package: what to `pip install`.
         options: accuracy -> keyword options for the solver.
         semidefinite: solves a stage with variables that have no cost, without help.
+        shift: ρ of the proximal point, for those that need it; variables with a cost weigh 1.
         sparse: takes SciPy sparse matrices (and complains about dense ones).
-        warm_start: uses initial values through qpsolvers.
+        warm_start: can use initial values through qpsolvers; every solve here starts cold.
         zooms: see `refinement.zoom_in`.
         on_request: runs only when asked for by name.
     """
@@ -39,6 +41,7 @@ class Abilities:
     package: str
     options: Callable[[float], Options] = field(default=lambda accuracy: {})
     semidefinite: bool = True
+    shift: float = 1e-6
     sparse: bool = False
     warm_start: bool = False
     zooms: tuple[float, ...] = ()
@@ -69,6 +72,7 @@ ABILITIES: dict[str, Abilities] = {
         "daqp",
         lambda a: {"primal_tol": a / 100, "dual_tol": a / 10_000},
         semidefinite=False,
+        shift=1e-8,
         zooms=(1e-3,),
     ),
     # A hundred times: ECOS gives up on tighter ones more often than it gains.
@@ -107,7 +111,7 @@ ABILITIES: dict[str, Abilities] = {
         sparse=True,
         warm_start=True,
     ),
-    "quadprog": Abilities("quadprog", semidefinite=False, zooms=(1e-3,)),
+    "quadprog": Abilities("quadprog", semidefinite=False, shift=1e-8, zooms=(1e-3,)),
     "scs": Abilities(
         "scs",
         lambda a: {**_eps(a), "max_iters": ITERATIONS},

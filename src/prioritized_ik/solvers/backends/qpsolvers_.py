@@ -56,7 +56,11 @@ class QpsolversBackend:
         options = self.abilities.options(accuracy)
 
         def exactly(once: SolveOnce) -> Array:
-            solve = once if self.abilities.semidefinite else proximal_point(stage, once, SolverFailedError)
+            solve = (
+                once
+                if self.abilities.semidefinite
+                else proximal_point(stage, once, self.abilities.shift, SolverFailedError)
+            )
             return zoom_in(stage, solve(stage.problem), self.abilities.zooms, solve, SolverFailedError)
 
         return self._attempt(stage, lambda problem: self._call(problem, options), exactly)
@@ -98,4 +102,4 @@ class QpsolversBackend:
 
 def _as_sparse(problem: qpsolvers.Problem) -> qpsolvers.Problem:
     g = None if problem.G is None else scipy.sparse.csc_matrix(problem.G)
-    return qpsolvers.Problem(scipy.sparse.csc_matrix(problem.P), problem.q, g, problem.h, lb=problem.lb, ub=problem.ub)
+    return qpsolvers.Problem(scipy.sparse.csc_matrix(problem.P), problem.q, g, problem.h)

@@ -4,10 +4,11 @@ from collections.abc import Callable
 
 import qpsolvers
 
-from prioritized_ik.errors import InputError, SolverUnavailableError
+from prioritized_ik.errors import SolverUnavailableError
 from prioritized_ik.solvers.backends.abilities import ABILITIES, abilities_of
 from prioritized_ik.solvers.backends.protocol import Backend
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
+from prioritized_ik.validation import fraction
 
 #: Accuracy asked of a solver unless told otherwise, in the stages' scaled variables.
 ACCURACY = 1e-8
@@ -36,14 +37,13 @@ def get_backend(name: str, accuracy: float = ACCURACY) -> Backend:
 
     Args:
         name: one of `known_solvers()`.
-        accuracy: asked of the solver, above 0 and at most 0.1; the table of abilities turns it into its options.
+        accuracy: asked of the solver, above 0 and below 1; the table of abilities turns it into its options.
 
     Raises:
         SolverUnavailableError: unknown, or not installed (with the command that installs it).
         InputError: an accuracy out of range.
     """
-    if not 0.0 < accuracy <= 0.1:
-        raise InputError(f"accuracy is {accuracy!r}; expected a number above 0 and at most 0.1, such as {ACCURACY:g}.")
+    fraction("accuracy", accuracy)
     if name in _factories:
         return _factories[name](accuracy)
     if name in qpsolvers.available_solvers:
