@@ -30,8 +30,8 @@ SETTLED = 1e-9  # zooming stops once it moves the joint step by less than this f
 def proximal_point(stage: Stage, solve_once: SolveOnce, shift: float, gave_up: type[Exception]) -> SolveOnce:
     """Return `solve_once` for problems with this stage's Hessian, made positive definite without changing the optimum.
 
-    A round shrinks what the shift ρ leaves by ρ/(ρ + a²), a the slope of the rows that tie z to the cost: a smaller shift is
-    better, as far as the solver's own numerics allow.
+    A round shrinks what the shift ρ leaves by ρ/(ρ + a²), a the slope of the rows that tie z to the cost: a smaller shift
+    is better, as far as the solver's own numerics allow.
 
     A later round that raises `gave_up` ends the rounds; the answer so far stays, as it is the solver's own.
     """

@@ -9,8 +9,8 @@ The oddities were measured on the recorded winding steps (49 joints, whitened st
 - ecos minimises through an epigraph cone: a cost right to ε leaves x right to about √ε only. Three zooms.
 - highs adds 1e-7 to its Hessian's diagonal: a zoom removes that.
 - daqp, quadprog, proxqp: where rows bind, the weak directions rest on multipliers of 1e-6, which a shift or a tolerance of
-  1e-8 disturbs: a zoom brings dθ from 1e-5 to 1e-8 of the others'. A shift of 1e-6 leaves two steps in 356 off by 70 %, at a
-  cost within 1e-9; daqp and quadprog bear 1e-8, which finds them. highs, ecos and cvxopt gain nothing by it.
+  1e-8 disturbs: a zoom brings dθ from 1e-5 to 1e-8 of the others'. A shift of 1e-6 leaves two steps in 356 off by 70 %, at
+  a cost within 1e-9; daqp and quadprog bear 1e-8, which finds them. highs, ecos and cvxopt gain nothing by it.
 - jaxopt_osqp and qpax compute in single precision, and then find nothing, unless the environment sets JAX_ENABLE_X64=1.
 - osqp's polishing writes to standard output where no row binds, even when told to be quiet, so it stays off.
 """
