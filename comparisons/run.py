@@ -24,7 +24,7 @@ from prioritized_ik.solvers.closed_form import (
     resulting_displacement,
     strict_solution,
 )
-from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION, joint_step
+from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION, FREE, joint_step
 from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.validation import Array
 from prioritized_ik.winding.episode import Episode, Solve, wind
@@ -39,9 +39,6 @@ MINK_ROWS = {f"mink ({solver})": solver for solver in MINK_SOLVERS}
 
 #: These take longest, so they start first.
 _SLOW = ("ecos", "clarabel", "scs", "highs", "cvxopt")
-
-#: A step whose closed form breaks no row by more than this (its own rounding) is free.
-FREE = 1e-12
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ import polars
 import pytest
 from click.testing import CliRunner, Result
 
+from comparisons.command import compare
+from comparisons.settings import ComparisonSettings
 from prioritized_ik.cli import main
 from prioritized_ik.winding.episode import Episode
 
@@ -185,3 +187,13 @@ def test_strict_ends_with_one_when_a_row_disagrees(monkeypatch: pytest.MonkeyPat
     assert result.exit_code == 1
     assert "disagrees: dθ 1e-03" in result.output
     assert call("compare", "--solvers", "daqp").exit_code == 0
+
+
+def test_the_defaults_of_compare_are_those_of_its_settings() -> None:
+    # Written twice, since the command line starts without importing where they come from.
+    defaults = ComparisonSettings(solvers=("daqp",))
+    options = {option.name: option.default for option in compare.params}
+    for name in ("steps", "link", "tilt", "accuracy", "rank_tolerance", "damping", "closed_form_first"):
+        assert options[name] == getattr(defaults, name), name
+    assert tuple(options["directions"].split(",")) == defaults.directions
+    assert tuple(options["formulation"].split(",")) == defaults.formulations

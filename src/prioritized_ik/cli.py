@@ -13,8 +13,6 @@ from prioritized_ik.errors import PrioritizedIkError
 
 DISAGREES, BAD_INPUT = 1, 2  # exit codes
 
-PICTURES = (".png", ".gif")
-
 
 class BadInput(click.ClickException):
     """An error of this package, as one message."""
@@ -108,7 +106,9 @@ def wind(
     if save is not None:
         writable_file(save)
     if record is not None:
-        one_of("kind of picture", Path(writable_file(record)).suffix.lower(), PICTURES)
+        from prioritized_ik.winding.picture import kind_of
+
+        kind_of(writable_file(record))
     free = solver == CLOSED_FORM  # the closed form knows no limits
     settings = WindingSettings(
         arm=Arm(links=links),

@@ -23,6 +23,9 @@ FORMULATIONS = ("lexicographic", "damped")
 #: A step may break a row by this fraction of its own size; beyond, it is not accepted.
 ACCEPTED_VIOLATION = 1e-6
 
+#: A closed-form step that breaks no row by more than this fraction of itself, its own rounding, breaks none.
+FREE = 1e-12
+
 TIGHT = 1e-7  # [rad] a row this close to binding is tight: ten times what a solver at accuracy 1e-8 leaves open
 PARALLEL = 1e-5  # tight rows that leave a wedge narrower than this leave no room: solvers fail on narrower ones
 
@@ -76,8 +79,7 @@ def joint_step(problem: IKProblem, backend: Backend, options: SolveOptions) -> J
     started = time.perf_counter()
     if options.closed_form_first and options.formulation == "lexicographic":
         dtheta = strict_solution(problem.levels, problem.reference, options.rank_tolerance)
-        # Rounding aside (Eqs. 12-14 are good to about 1e-12), not one row may be broken.
-        if problem.relative_violation(dtheta) <= 1e-12:
+        if problem.relative_violation(dtheta) <= FREE:
             step = _accepted(problem, dtheta, StepStatus.CLOSED_FORM)
             return replace(step, timings=Timings(time.perf_counter() - started, 0.0))
     clock = _Clock(backend)

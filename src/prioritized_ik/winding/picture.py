@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from prioritized_ik.errors import InputError
 from prioritized_ik.files import write_whole
 from prioritized_ik.models import WindingObject, update_kinematics
+from prioritized_ik.validation import one_of
 from prioritized_ik.winding.episode import Episode
 
 TOUCHING = (0.93, 0.40, 0.47, 1.0)  # links in contact [rgba]
+KINDS = (".png", ".gif")
 FRAMES = 60  # of an animation, evenly spaced over the episode
 FRAME_MILLISECONDS = 50
 SHOWN_LENGTH = 2.2  # half length of a cylinder or capsule in a picture, in radii
@@ -49,6 +51,11 @@ def frames(episode: Episode, steps: list[int], width: int = 960, height: int = 7
             yield renderer.render()
 
 
+def kind_of(path: str | Path) -> str:
+    """Return the kind of picture that `path` names, one of `KINDS`, or raise an `InputError`."""
+    return one_of("kind of picture", Path(path).suffix.lower(), KINDS)
+
+
 def record(episode: Episode, path: str | Path) -> None:
     """Write the last state to a `.png`, or the whole winding to a `.gif`.
 
@@ -57,9 +64,7 @@ def record(episode: Episode, path: str | Path) -> None:
     """
     from PIL import Image
 
-    kind = Path(path).suffix.lower()
-    if kind not in (".png", ".gif"):
-        raise InputError(f"cannot record to {str(path)!r}; expected a file that ends in .png or .gif.")
+    kind = kind_of(path)
     last = len(episode.q) - 1
     steps = [last] if kind == ".png" else [round(s) for s in np.linspace(0, last, min(FRAMES, last + 1))]
     try:
