@@ -9,6 +9,12 @@ from tolerances import WELL_CONDITIONED
 from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.virtual_arms import VirtualArms
 
+CAMPAIGN = 200  # problems that a campaign solves unless told: a few seconds
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--campaign", type=int, default=CAMPAIGN, metavar="N", help="problems a campaign solves")
+
 
 @dataclass
 class Bench:

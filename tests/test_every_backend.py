@@ -1,90 +1,176 @@
+"""Every installed solver: how accurate its own answers are, and that the certified step is the same to the last bit."""
+
+from functools import cache
+
 import numpy as np
 import pytest
 import qpsolvers
+from tolerances import ROUNDING
 from winding_fixtures import QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.errors import InputError, SolverUnavailableError
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
-from prioritized_ik.solvers.backends import qpsolvers_
+from prioritized_ik.solvers.backends import qpsolvers_, registry
 from prioritized_ik.solvers.backends.abilities import ABILITIES, abilities_of
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
 from prioritized_ik.solvers.backends.registry import get_backend, installed_solvers, known_solvers
-from prioritized_ik.solvers.closed_form import strict_solution
+from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage, joint_step, solve
-from prioritized_ik.solvers.step import StepStatus
+from prioritized_ik.solvers.step import JointStep, StepStatus
 
 TEN = ["clarabel", "cvxopt", "daqp", "highs", "osqp", "piqp", "proxqp", "qpalm", "quadprog", "scs"]
 ELEVEN = [*TEN, "ecos"]
 
-CLOSED_FORM_ERROR = 1e-6  # of a joint step, relative: what the ten promise on a free step
+CLOSED_FORM_ERROR = 1e-6  # of a solver's own joint step, relative: what the ten promise on a free step
 ECOS_ERROR = 1e-5  # ECOS minimises through an epigraph cone, which blurs the answer to the root of its tolerance
-BROKEN = 1e-6  # of a row, relative to the step: what is accepted
+BROKEN = 1e-6  # of a row, relative to the step: what is accepted of a solver
 COST_GAP = 1e-6  # of a level's cost, relative to standing still
 JUDGES = ("daqp", "proxqp", "clarabel")  # an active-set, a proximal and an interior-point method
 
+Problems = tuple[IKProblem, ...]
 
-def worst_free_error(name: str) -> float:
-    backend, errors = get_backend(name), []
-    for problem in free_steps():
+
+def steps_of(name: str, problems: Problems) -> list[JointStep]:
+    backend = get_backend(name)
+    return [joint_step(problem, backend, QP_ONLY) for problem in problems]
+
+
+@cache
+def free(name: str) -> list[JointStep]:
+    return steps_of(name, free_steps())
+
+
+@cache
+def constrained(name: str) -> list[JointStep]:
+    return steps_of(name, constrained_steps())
+
+
+def worst_free_error(steps: list[JointStep]) -> float:
+    """The error of the solver's own steps."""
+    errors = []
+    for problem, step in zip(free_steps(), steps, strict=True):
         wanted = strict_solution(problem.levels, problem.reference)
-        step = joint_step(problem, backend, QP_ONLY)
         assert step.status is StepStatus.SOLVED, step.message
-        errors.append(np.linalg.norm(step.dtheta - wanted) / np.linalg.norm(wanted))
+        errors.append(np.linalg.norm(step.raw - wanted) / np.linalg.norm(wanted))
     return max(errors)
-
-
-@pytest.fixture(scope="module")
-def best_costs() -> list[float]:
-    """The lowest level-1 cost that any judge reaches at each constrained step."""
-    judges = [get_backend(name) for name in JUDGES]
-    return [min(joint_step(problem, judge, QP_ONLY).costs[0] for judge in judges) for problem in constrained_steps()]
 
 
 def test_the_steps_to_judge_by_are_free_and_constrained_as_they_should_be():
     assert (len(free_steps()), len(constrained_steps())) == (12, 8)
-    assert all(solve(problem, "daqp", QP_ONLY).tight_rows for problem in constrained_steps())
+    assert all(step.tight_rows for step in constrained("daqp"))
 
 
 def test_every_solver_of_the_table_of_eleven_is_installed():
     assert set(ELEVEN) <= set(qpsolvers.available_solvers)
 
 
+# The certified step.
+
+
+@pytest.mark.parametrize("name", installed_solvers(on_request=True))
+def test_the_constrained_step_is_the_same_to_the_last_bit(name):
+    for i, (step, wanted) in enumerate(zip(constrained(name), constrained("daqp"), strict=True)):
+        assert step.certificate.holds, i
+        assert (step.dtheta == wanted.dtheta).all(), i
+        assert step.certificate == wanted.certificate
+
+
+@pytest.mark.parametrize("name", installed_solvers(on_request=True))
+def test_the_free_step_is_the_same_to_the_last_bit(name):
+    for i, (step, wanted) in enumerate(zip(free(name), free("daqp"), strict=True)):
+        assert step.certificate.holds, i
+        assert (step.dtheta == wanted.dtheta).all(), i
+        assert step.certificate == wanted.certificate
+
+
+def test_the_free_step_is_the_closed_form_and_to_the_last_bit_where_it_ends_on_no_row():
+    same = 0
+    for problem, step in zip(free_steps(), free("daqp"), strict=True):
+        wanted = strict_solution(problem.levels, problem.reference)
+        assert np.linalg.norm(step.dtheta - wanted) <= ROUNDING * np.linalg.norm(wanted)
+        if not step.tight_rows:  # a row that it ends on, though it holds nothing back, is solved for
+            assert (step.dtheta == wanted).all()
+            same += 1
+    assert same >= 8
+
+
+@pytest.mark.parametrize("name", installed_solvers(on_request=True))
+def test_a_certified_step_breaks_rows_by_rounding_only(name):
+    for problem, step in zip(constrained_steps(), constrained(name), strict=True):
+        assert problem.relative_violation(step.dtheta) <= ROUNDING
+
+
+def test_bits_tell_a_step_that_is_off_by_the_least_there_is():
+    step = constrained("daqp")[0].dtheta
+    assert (np.nextafter(step, np.inf) != step).all()
+    assert sum(not np.array_equal(step.dtheta, step.raw) for step in constrained("daqp")) >= 4  # it is the polish's doing
+
+
+# The solver's own step.
+
+
 @pytest.mark.parametrize("name", TEN)
-def test_a_free_step_is_the_closed_form(name):
-    assert worst_free_error(name) <= CLOSED_FORM_ERROR
+def test_a_solvers_own_free_step_is_the_closed_form(name):
+    assert worst_free_error(free(name)) <= CLOSED_FORM_ERROR
 
 
-def test_a_free_step_of_ecos_is_the_closed_form_to_its_own_bound():
-    assert worst_free_error("ecos") <= ECOS_ERROR
+def test_ecos_own_free_step_is_the_closed_form_to_its_own_bound():
+    assert worst_free_error(free("ecos")) <= ECOS_ERROR
 
 
 @pytest.mark.parametrize("name", ELEVEN)
-def test_a_constrained_step_keeps_every_row(name):
-    backend = get_backend(name)
-    for problem in constrained_steps():
-        step = joint_step(problem, backend, QP_ONLY)
+def test_a_solvers_own_constrained_step_keeps_every_row(name):
+    for problem, step in zip(constrained_steps(), constrained(name), strict=True):
         assert step.status is StepStatus.SOLVED, step.message
-        assert problem.relative_violation(step.dtheta) <= BROKEN
+        assert problem.relative_violation(step.raw) <= BROKEN
 
 
 @pytest.mark.parametrize("name", ELEVEN)
-def test_a_constrained_step_is_as_good_as_the_best(name, best_costs):
-    backend = get_backend(name)
-    for problem, best in zip(constrained_steps(), best_costs, strict=True):
-        still = problem.levels[0].cost(np.zeros(problem.joint_count))
-        assert joint_step(problem, backend, QP_ONLY).costs[0] <= best + COST_GAP * still
+def test_a_solvers_own_constrained_step_is_as_good_as_the_optimum(name):
+    for problem, step, best in zip(constrained_steps(), constrained(name), constrained("daqp"), strict=True):
+        level = problem.levels[0]
+        still = level.cost(np.zeros(problem.joint_count))
+        assert level.cost(step.raw) <= best.costs[0] + COST_GAP * still
 
 
-def test_the_free_steps_tell_a_solver_that_is_off_by_a_hundred_thousandth(monkeypatch):
+@pytest.mark.parametrize("name", JUDGES)
+def test_no_solvers_own_step_is_better_than_the_certified_one(name):
+    # By more than the rows it breaks and the rounding of the cost gain it.
+    for problem, step in zip(constrained_steps(), constrained(name), strict=True):
+        level = problem.levels[0]
+        still = level.cost(np.zeros(problem.joint_count))
+        assert level.cost(step.dtheta) <= level.cost(step.raw) + COST_GAP * still
+
+
+def slightly_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every solver be off by a hundred thousandth."""
     exact = qpsolvers_.qpsolvers.solve_problem
 
-    def slightly_off(problem, solver, **options):
+    def solve_problem(problem, solver, **options):
         solution = exact(problem, solver, **options)
         solution.x = solution.x * (1.0 + 1e-5)
         return solution
 
-    monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", slightly_off)
-    assert worst_free_error("osqp") > CLOSED_FORM_ERROR  # one that does not zoom in, which would mend it
+    monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", solve_problem)
+
+
+def test_the_free_steps_tell_a_solver_that_is_off_by_a_hundred_thousandth(monkeypatch):
+    slightly_off(monkeypatch)
+    assert worst_free_error(steps_of("osqp", free_steps())) > CLOSED_FORM_ERROR  # no zooms, which would mend it
+
+
+def test_the_certified_steps_of_a_solver_that_is_off_by_a_hundred_thousandth_are_the_same_to_the_last_bit(monkeypatch):
+    wanted = constrained("daqp")
+    slightly_off(monkeypatch)
+    steps = steps_of("osqp", constrained_steps())
+    assert all((step.dtheta == other.dtheta).all() for step, other in zip(steps, wanted, strict=True))
+
+
+def assert_solved(problem: IKProblem, name: str, wanted: list[float]) -> None:
+    step = solve(problem, get_backend(name), QP_ONLY)  # a backend given as such refines its answer
+    assert step.dtheta == pytest.approx(wanted, abs=ROUNDING)
+    assert step.raw == pytest.approx(wanted, abs=1e-6)
+    assert (step.dtheta == solve(problem, "daqp", QP_ONLY).dtheta).all()
 
 
 @pytest.mark.parametrize("name", ELEVEN)
@@ -92,26 +178,33 @@ def test_a_level_that_presses_into_a_corner_is_solved(name):
     # The two rows leave the second joint no room once the first is at its best: no interior for the last stage.
     rows = Rows([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0]], [1.0, 1.0])
     problem = IKProblem([Level([[1.0, 0.0, 0.0]], [5.0])], rows=rows, reference=[0.0, 0.7, -0.4])
-    assert solve(problem, name, QP_ONLY).dtheta == pytest.approx([1.0, 0.0, -0.4], abs=1e-6)
+    assert_solved(problem, name, [1.0, 0.0, -0.4])
 
 
 @pytest.mark.parametrize("name", ELEVEN)
 def test_a_direction_without_cost_or_row_is_solved(name):
     problem = IKProblem([Level([[1.0, 0.0]], [5.0])], rows=Rows([[1.0, 0.0]], [1.0]), reference=[0.0, 0.7])
-    assert solve(problem, name, QP_ONLY).dtheta == pytest.approx([1.0, 0.7], abs=1e-6)
+    assert_solved(problem, name, [1.0, 0.7])
 
 
 @pytest.mark.parametrize("name", ELEVEN)
 def test_a_problem_without_rows_is_solved(name):
-    problem = IKProblem([Level([[1.0, 0.0]], [0.5])], reference=[0.0, 0.7])
-    assert solve(problem, name, QP_ONLY).dtheta == pytest.approx([0.5, 0.7], abs=1e-6)
+    assert_solved(IKProblem([Level([[1.0, 0.0]], [0.5])], reference=[0.0, 0.7]), name, [0.5, 0.7])
 
 
 @pytest.mark.parametrize("name", ELEVEN)
 def test_two_strict_levels_with_a_reference_are_solved(name):
     levels = [Level([[1.0, 1.0, 0.0]], [1.0]), Level([[1.0, 0.0, 0.0]], [5.0])]
     problem = IKProblem(levels, Bounds([-2.0, -0.5, -2.0], [2.0, 2.0, 0.3]), reference=[0.0, 0.0, 0.7])
-    assert solve(problem, name, QP_ONLY).dtheta == pytest.approx([1.5, -0.5, 0.3], abs=1e-6)
+    assert_solved(problem, name, [1.5, -0.5, 0.3])
+
+
+@pytest.mark.parametrize("name", ELEVEN)
+def test_a_soft_level_between_two_others_is_solved(name):
+    soft = Level([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [0.25, 1.0], [4.0, 1.0], "soft", "at_most")
+    levels = [Level([[1.0, 1.0, 0.0]], [2.0]), soft, Level([[0.0, 1.0, 1.0]], [3.0])]
+    # min 4 (x - 1/4)² + (y - 1)² on x + y = 2: x = 2/5, y = 8/5; the third joint then is 7/5.
+    assert_solved(IKProblem(levels, Bounds([-2.0] * 3, [2.0] * 3)), name, [0.4, 1.6, 1.4])
 
 
 @pytest.mark.parametrize("name", ELEVEN)
@@ -119,14 +212,13 @@ def test_rows_without_a_common_point_are_a_failure_and_not_a_step(name):
     problem = IKProblem([Level([[1.0, 0.0]], [5.0])], rows=Rows([[1.0, 0.0], [-1.0, 0.0]], [-1.0, -1.0]))
     step = joint_step(problem, get_backend(name), SolveOptions())
     assert step.dtheta is None
-    assert step.status in (StepStatus.NOT_FOUND, StepStatus.VIOLATED)
+    assert step.status in (StepStatus.NOT_FOUND, StepStatus.VIOLATED, StepStatus.INFEASIBLE)
 
 
 @pytest.mark.parametrize("name", ELEVEN)
 def test_a_row_of_zeros_binds_nothing(name):
     rows = Rows([[0.0, 0.0], [1.0, 0.0]], [1.0, 0.5])
-    step = solve(IKProblem([Level(np.eye(2), [1.0, 1.0])], rows=rows), name)
-    assert step.dtheta == pytest.approx([0.5, 1.0], abs=1e-6)
+    assert_solved(IKProblem([Level(np.eye(2), [1.0, 1.0])], rows=rows), name, [0.5, 1.0])
 
 
 def test_every_solver_has_its_row_in_the_table_of_abilities():
@@ -179,14 +271,26 @@ def test_a_solver_that_is_not_installed_is_refused_with_the_command_that_install
         get_backend("highs")
 
 
-def test_a_solver_that_is_not_installed_stays_known(monkeypatch):
-    monkeypatch.setattr(qpsolvers, "available_solvers", ["daqp"])
+@pytest.fixture
+def only(monkeypatch):
+    """Let only some solvers of qpsolvers be installed, and no native one."""
+    monkeypatch.setattr(registry, "_is_installed", lambda name: False)
+
+    def installed(*names):
+        monkeypatch.setattr(qpsolvers, "available_solvers", list(names))
+
+    return installed
+
+
+def test_a_solver_that_is_not_installed_stays_known(only):
+    only("daqp")
     assert "scs" in known_solvers()
+    assert "daqp-warm" in known_solvers()
     assert installed_solvers() == ["daqp"]
 
 
-def test_solvers_on_request_are_listed_only_on_request(monkeypatch):
-    monkeypatch.setattr(qpsolvers, "available_solvers", ["daqp", "kvxopt"])
+def test_solvers_on_request_are_listed_only_on_request(only):
+    only("daqp", "kvxopt")
     assert installed_solvers() == ["daqp"]
     assert installed_solvers(on_request=True) == ["daqp", "kvxopt"]
 

@@ -24,6 +24,8 @@ LAYERS = [
     {"winding"},
     {"cli", "comparisons", "paper_repro"},
 ]
+SOLVERS = {"qpsolvers", "cvxpy", "daqp", "proxsuite", "osqp"}
+FOLD = ("stages", "lexicographic", "refinement", "backends")  # how a step is found, as opposed to proven
 RANK = {part: rank for rank, layer in enumerate(LAYERS) for part in layer}
 
 
@@ -105,9 +107,24 @@ def test_problems_and_their_solution_know_nothing_of_mujoco(module):
     assert not any(name.split(".")[0] in ("mujoco", "mink") for name in _reachable(module, _sources()))
 
 
-@pytest.mark.parametrize("module", ["problem", "solvers.closed_form", "winding.plan", "weights"])
-def test_the_papers_equations_know_no_solver(module):
-    assert not any(name.split(".")[0] == "qpsolvers" for name in _reachable(module, _sources()))
+@pytest.mark.parametrize("module", ["problem", "solvers.closed_form", "solvers.hierarchy", "winding.plan", "weights"])
+def test_the_papers_equations_and_strict_levels_know_no_solver(module):
+    assert not any(name.split(".")[0] in SOLVERS for name in _reachable(module, _sources()))
+
+
+@pytest.mark.parametrize("module", ["solvers.certificate", "solvers.polish"])
+def test_the_proof_of_a_step_knows_no_solver(module):
+    reached = _reachable(module, _sources())
+    assert not any(name.split(".")[0] in SOLVERS for name in reached)
+    assert not any(name.startswith(f"{PACKAGE}.solvers.{part}") for part in FOLD for name in reached)
+
+
+def test_the_certificate_does_not_know_the_polish():
+    assert f"{PACKAGE}.solvers.polish" not in _reachable("solvers.certificate", _sources())
+
+
+def test_the_witness_shares_no_code_with_the_solvers():
+    assert not any(name.startswith(f"{PACKAGE}.solvers") for name in _reachable("solvers.witness", _sources()))
 
 
 SABOTAGE = {
@@ -132,6 +149,12 @@ def test_the_check_catches_mujoco_behind_another_module():
     sources = _sources()
     sources["validation"] += "\nimport mujoco\n"
     assert "mujoco" in _reachable("solvers.closed_form", sources)
+
+
+def test_the_check_catches_a_solver_behind_the_certificate():
+    sources = _sources()
+    sources["solvers.cones"] += f"\ndef late():\n    from {PACKAGE}.solvers.stages import Room\n"
+    assert {"qpsolvers", f"{PACKAGE}.solvers.stages"} <= _reachable("solvers.certificate", sources)
 
 
 def test_importing_the_package_loads_neither_mujoco_nor_solvers():

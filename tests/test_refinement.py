@@ -15,6 +15,13 @@ class GaveUpError(Exception):
     pass
 
 
+def stage_of(problem: qpsolvers.Problem, costed: int) -> Stage:
+    """A stage of some QP in joint steps, of whose variables the first `costed` cost something."""
+    v = len(problem.q)
+    rows = 0 if problem.h is None else len(problem.h)
+    return Stage(problem, np.zeros(v), np.eye(v), np.eye(v)[:, costed:], 0, np.arange(rows))
+
+
 def quadprog(problem: qpsolvers.Problem) -> np.ndarray:
     """An exact solver that refuses Hessians that are not positive definite."""
     solution = qpsolvers.solve_problem(problem, solver="quadprog")
@@ -41,12 +48,11 @@ def semidefinite_stage(seed: int) -> tuple[Stage, np.ndarray]:
     rows = np.vstack([active, idle])
     slack = np.append(np.zeros(4), rng.uniform(0.5, 1.0, 3))
     problem = qpsolvers.Problem(hessian, linear, rows, rows @ optimum + slack)
-    return Stage(problem, np.zeros(5), np.eye(5), costed=3), optimum
+    return stage_of(problem, 3), optimum
 
 
 def free_stage(target: np.ndarray) -> Stage:
-    v = len(target)
-    return Stage(qpsolvers.Problem(np.eye(v), -target), np.zeros(v), np.eye(v), costed=v)
+    return stage_of(qpsolvers.Problem(np.eye(len(target)), -target), len(target))
 
 
 def counted(solve_once: Callable[[qpsolvers.Problem], np.ndarray]) -> tuple[Callable, list[qpsolvers.Problem]]:
@@ -116,7 +122,7 @@ def test_a_stage_that_costs_every_variable_needs_no_proximal_point():
 def test_the_proximal_point_stops_as_soon_as_it_rests():
     solve, seen = counted(quadprog)
     hessian = np.diag([1.0, 0.0])
-    stage = Stage(qpsolvers.Problem(hessian, np.array([-1.0, 0.0])), np.zeros(2), np.eye(2), costed=1)
+    stage = stage_of(qpsolvers.Problem(hessian, np.array([-1.0, 0.0])), 1)
     assert proximal_point(stage, solve, SHIFT, GaveUpError)(stage.problem) == pytest.approx([1.0, 0.0], abs=1e-12)
     assert len(seen) == 1
 
@@ -124,9 +130,7 @@ def test_the_proximal_point_stops_as_soon_as_it_rests():
 def shifting_stage() -> Stage:
     """A stage whose uncosted variable has to go far, so that the proximal point takes more than one round."""
     rows, side = np.array([[1.0, -0.1]]), np.array([1.0])  # y = 2 needs z = 10
-    return Stage(
-        qpsolvers.Problem(np.diag([1.0, 0.0]), np.array([-2.0, 0.0]), rows, side), np.zeros(2), np.eye(2), costed=1
-    )
+    return stage_of(qpsolvers.Problem(np.diag([1.0, 0.0]), np.array([-2.0, 0.0]), rows, side), 1)
 
 
 def gives_up_from(call: int) -> Callable[[qpsolvers.Problem], np.ndarray]:
@@ -193,7 +197,7 @@ def test_each_zoom_brings_an_inexact_solvers_error_down_to_its_own_fraction(zoom
 
 def test_zooming_keeps_to_the_rows():
     qp = qpsolvers.Problem(np.eye(3), -TARGET, np.array([[1.0, 0.0, 1.0]]), np.array([0.4]))
-    stage, solve = Stage(qp, np.zeros(3), np.eye(3), costed=3), noisy(NOISE)
+    stage, solve = stage_of(qp, 3), noisy(NOISE)
     x = zoom_in(stage, solve(qp), (1e-3, 1e-5), solve, GaveUpError)
     assert x == pytest.approx([0.0, -1.2, 0.4], abs=1e-10)
 
@@ -209,7 +213,7 @@ def test_zooming_solves_the_same_hessian_and_rows():
     solve, seen = counted(noisy(NOISE))
     stage, _ = semidefinite_stage(1)
     qp = qpsolvers.Problem(np.eye(5), stage.problem.q, stage.problem.G, stage.problem.h)
-    zoom_in(Stage(qp, np.zeros(5), np.eye(5), costed=5), solve(qp), (1e-3,), solve, GaveUpError)
+    zoom_in(stage_of(qp, 5), solve(qp), (1e-3,), solve, GaveUpError)
     assert np.array_equal(seen[1].P, qp.P)
     assert np.array_equal(seen[1].G, qp.G)
 

@@ -1,18 +1,18 @@
+"""Every stage is its level and nothing else: cost, rows and directions, in variables of its own."""
+
+from collections.abc import Callable
+
 import numpy as np
 import pytest
+from hierarchies import random_hierarchy
 from winding_fixtures import QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
-from prioritized_ik.solvers.closed_form import (
-    level_decomposition,
-    null_space,
-    resulting_displacement,
-    strict_solution,
-    weighted_optimum,
-)
+from prioritized_ik.problem import STEP_FLOOR, Bounds, Equalities, IKProblem, Level, Rows, step_scale
+from prioritized_ik.solvers.closed_form import level_decomposition, resulting_displacement, weighted_optimum
+from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
 from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage
-from prioritized_ik.solvers.stages import FAR_SLACK, Room, Stage, damped_stage, reference_stage, task_stage
+from prioritized_ik.solvers.stages import FAR_SLACK, Room, Stage, damped_stage, level_stage, reference_stage
 
 ROUNDING = 1e-12  # sums of some fifty products of doubles, relative to their size
 WEIGHTED = 1e-11  # the same on recorded steps, where weights of 200 and 0.01 meet
@@ -27,20 +27,39 @@ def random_problem(seed: int) -> IKProblem:
     return IKProblem((level,), bounds, Rows(rng.normal(size=(2, 5)), rng.uniform(0.0, 0.5, 2)), rng.normal(size=5))
 
 
+def with_second_level(problem: IKProblem, second: Level) -> IKProblem:
+    return IKProblem((*problem.levels, second), problem.bounds, problem.rows, problem.reference, problem.equalities)
+
+
+def some_level(kind: str) -> Level:
+    """A level of two rows, which no step of `PROBLEMS` meets for sure."""
+    rng = np.random.default_rng(1)
+    return Level(rng.normal(size=(2, 5)), rng.normal(size=2) - 0.5, [3.0, 0.2], "second", kind)
+
+
 def objective(stage: Stage, x: np.ndarray) -> float:
     return float(0.5 * x @ stage.problem.P @ x + stage.problem.q @ x)
 
 
-def second_stage_room(problem: IKProblem) -> Room:
+def second_room(problem: IKProblem, rank_tolerance: float = QP_ONLY.rank_tolerance) -> Room:
     """The room of a level below the first, at the middle between dθ = 0 and a feasible move."""
-    stage = first_stage(problem, QP_ONLY)
+    room = Room.whole(Hierarchy(problem, rank_tolerance))
+    stage = level_stage(room)
     x = np.zeros(stage.size)
     x[: stage.costed] = 0.01
     x *= min(1.0, *(stage.problem.h / np.maximum(stage.problem.G @ x, 1e-300)))
-    return Room.whole(problem).after(stage.dtheta(x), stage.unfelt)
+    return room.after(stage.dtheta(x), stage.unfelt)
+
+
+def diagonal_room(levels: list[Level], **parts: object) -> Room:
+    """The room before the first of some levels."""
+    return Room.whole(Hierarchy(IKProblem(levels, **parts), 1e-6))
 
 
 PROBLEMS = [random_problem(seed) for seed in range(5)]
+
+
+# The first level.
 
 
 @pytest.mark.parametrize("problem", PROBLEMS)
@@ -56,7 +75,7 @@ def test_on_recorded_steps_the_stages_cost_is_that_of_the_decomposed_jacobian():
     for problem in free_steps() + constrained_steps():
         full, stage = problem.levels[0], first_stage(problem, QP_ONLY)
         # J_a J_b, as some of the steps have a small singular value, which the rank tolerance drops.
-        factors = level_decomposition(full, np.eye(49), QP_ONLY.rank_tolerance)
+        factors, _ = level_decomposition(full, np.eye(49), QP_ONLY.rank_tolerance)
         level = Level(factors.j_a @ factors.j_b, full.target, full.weights)
         unit = np.linalg.norm(np.sqrt(level.weights) * level.target)
         points = np.random.default_rng(0).normal(scale=0.1, size=(5, stage.size))
@@ -72,18 +91,6 @@ def test_a_cost_of_other_weights_differs_by_more_than_a_constant(problem):
     points = np.random.default_rng(0).normal(size=(20, stage.size))
     gaps = [other.cost(stage.dtheta(x)) / (2.0 * unit**2) - objective(stage, x) for x in points]
     assert np.ptp(gaps) > 1e3 * ROUNDING * np.abs([objective(stage, x) for x in points]).max()
-
-
-@pytest.mark.parametrize("problem", PROBLEMS)
-def test_a_lower_levels_stage_has_its_cost_up_to_scale_and_constant(problem):
-    rng = np.random.default_rng(1)
-    level = Level(rng.normal(size=(2, 5)), rng.normal(size=2), [3.0, 0.2])
-    stage = task_stage(level, second_stage_room(problem), 1e-6)
-    costs, values = np.array(
-        [(level.cost(stage.dtheta(x)), objective(stage, x)) for x in rng.normal(size=(20, stage.size))]
-    ).T
-    ratios = np.diff(costs) / np.diff(values)
-    assert np.ptp(ratios) <= 1e-9 * ratios.mean()  # differences of costs lose a few digits
 
 
 @pytest.mark.parametrize("problem", PROBLEMS)
@@ -110,7 +117,9 @@ def test_the_first_stages_variables_reach_every_joint_step():
 
 def test_every_row_of_the_problem_is_in_the_first_stage():
     for problem in (*PROBLEMS, *constrained_steps()):
-        assert len(first_stage(problem, QP_ONLY).problem.h) == len(problem.inequalities.upper)
+        stage = first_stage(problem, QP_ONLY)
+        assert len(stage.problem.h) == len(problem.inequalities.upper)
+        assert np.array_equal(stage.row_ids, np.arange(len(stage.problem.h)))
 
 
 @pytest.mark.parametrize("problem", PROBLEMS)
@@ -137,33 +146,211 @@ def test_standing_still_is_feasible_in_every_first_stage():
 
 
 @pytest.mark.parametrize("problem", PROBLEMS)
+def test_the_unconstrained_optimum_maps_back_to_the_closed_forms_displacement(problem):
+    level, stage = problem.levels[0], first_stage(problem, QP_ONLY)
+    factors, _ = level_decomposition(level, np.eye(5), 1e-6)
+    wanted = resulting_displacement(factors.j_a, level.weights, level.target)
+    reached = level.matrix @ stage.dtheta(-stage.problem.q)
+    assert reached == pytest.approx(wanted, abs=1e-10 * np.linalg.norm(wanted))  # weights 0.01 and 200: four digits
+
+
+def test_the_unconstrained_optimum_of_a_recorded_step_is_the_closed_forms_displacement():
+    for problem in free_steps():
+        level, stage = problem.levels[0], first_stage(problem, QP_ONLY)
+        factors, _ = level_decomposition(level, np.eye(49), QP_ONLY.rank_tolerance)
+        dx_b = weighted_optimum(factors.j_a, level.weights, level.target)
+        assert np.linalg.norm(dx_b) > 0.0
+        wanted = level.matrix @ factors.j_b.T @ dx_b
+        assert level.matrix @ stage.dtheta(-stage.problem.q) == pytest.approx(wanted, abs=WEIGHTED * np.linalg.norm(wanted))
+
+
+def test_directions_below_the_rank_tolerance_cost_nothing():
+    problem = IKProblem([Level(np.diag([1.0, 1e-4]), [1.0, 1.0])])
+    assert [first_stage(problem, SolveOptions(rank_tolerance=t)).costed for t in (1e-3, 1e-5)] == [1, 2]
+
+
+def test_the_directions_left_by_a_stage_are_those_that_its_level_does_not_feel():
+    for problem in PROBLEMS:
+        stage = first_stage(problem, QP_ONLY)
+        factors, _ = level_decomposition(problem.levels[0], np.eye(5), 1e-6)
+        assert stage.unfelt.T @ stage.unfelt == pytest.approx(np.eye(3), abs=ROUNDING)
+        felt = factors.j_b.T @ factors.j_b
+        assert stage.unfelt @ stage.unfelt.T == pytest.approx(np.eye(5) - felt, abs=ROUNDING)
+
+
+# Equalities.
+
+
+def held_problem(levels: list[Level]) -> IKProblem:
+    """Two equalities on five joints and a bound that the shortest step that keeps them exceeds."""
+    equalities = Equalities([[1.0, 1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 2.0, 0.0, 1.0]], [2.0, 1.0])
+    return IKProblem(levels, Bounds(np.full(5, -np.inf), [0.5, *[np.inf] * 4]), equalities=equalities)
+
+
+@pytest.mark.parametrize("kind", ["equal", "at_most"])
+def test_every_point_of_every_stage_keeps_the_equalities(kind):
+    problem = held_problem([some_level("equal"), some_level(kind)])
+    room = Room.whole(Hierarchy(problem))
+    stages = [level_stage(room)]
+    room = room.after(stages[0].dtheta(np.ones(stages[0].size)), stages[0].unfelt)
+    stages += [level_stage(room), reference_stage(room)]
+    for stage in stages:
+        for x in np.random.default_rng(4).normal(size=(10, stage.size)):
+            off = problem.equalities.matrix @ stage.dtheta(x) - problem.equalities.target
+            assert np.abs(off).max() <= ROUNDING * (1.0 + np.linalg.norm(x))
+
+
+def test_the_first_stage_starts_at_the_shortest_step_that_keeps_the_equalities_whatever_the_rows_say():
+    stage = first_stage(held_problem([some_level("equal")]), QP_ONLY)
+    assert stage.origin == pytest.approx([1.0, 1.0, 0.4, 0.0, 0.2], abs=ROUNDING)
+    assert stage.size == 3
+    assert (stage.problem.h < 0.0).all()  # the bound of the first joint: the solver has to find its way back
+
+
+# Lower levels.
+
+
+@pytest.mark.parametrize("problem", PROBLEMS)
+def test_a_lower_levels_stage_has_its_cost_in_units_up_to_a_constant(problem):
+    level = some_level("equal")
+    stage = level_stage(second_room(with_second_level(problem, level)))
+    points = np.random.default_rng(1).normal(size=(20, stage.size))
+    costs, values = np.array([(level.cost(stage.dtheta(x)), objective(stage, x)) for x in points]).T
+    unit = np.linalg.norm(np.sqrt(level.weights) * level.target)
+    ratios = np.diff(costs) / np.diff(values)
+    assert np.ptp(ratios) <= 1e-9 * ratios.mean()  # differences of costs lose a few digits
+    assert ratios.mean() >= 2.0 * unit**2 * (1.0 - 1e-9)  # one unit of y is the target's length at least
+
+
+@pytest.mark.parametrize("problem", PROBLEMS)
 def test_the_answer_of_the_level_above_is_feasible_in_the_next_stage(problem):
-    room = second_stage_room(problem)
-    stage = reference_stage(problem.reference, room)
-    assert np.array_equal(stage.dtheta(np.zeros(stage.size)), room.origin)
-    assert (stage.problem.h >= 0.0).all()
+    for second in (some_level("equal"), some_level("at_most")):
+        room = second_room(with_second_level(problem, second))
+        for stage in (level_stage(room), reference_stage(room)):
+            assert np.array_equal(stage.dtheta(np.zeros(stage.size)), room.origin)
+            assert (stage.problem.h >= 0.0).all()
 
 
 def test_a_row_broken_by_rounding_above_may_stay_as_it_is():
-    room = Room(np.zeros(2), np.eye(2), np.eye(2), np.ones(2)).after(np.array([1.0 + 1e-9, 0.0]), np.eye(2))
+    problem = IKProblem([Level([[1.0, 1.0]], [1.0])], rows=Rows(np.eye(2), np.ones(2)))
+    room = Room.whole(Hierarchy(problem)).after(np.array([1.0 + 1e-9, 0.0]), np.eye(2))
     assert room.slack.tolist() == [0.0, 1.0]
 
 
 def test_rows_that_no_free_direction_moves_are_left_out():
-    room = Room(np.zeros(2), np.eye(2), np.eye(2), np.ones(2)).after(np.zeros(2), np.array([[0.0], [1.0]]))
+    problem = IKProblem([Level([[1.0, 1.0]], [1.0])], rows=Rows(np.eye(2), np.ones(2)))
+    room = Room.whole(Hierarchy(problem)).after(np.zeros(2), np.array([[0.0], [1.0]]))
+    assert room.row_ids.tolist() == [1]
     assert room.rows.tolist() == [[0.0, 1.0]]
 
 
 @pytest.mark.parametrize("problem", PROBLEMS)
 def test_no_variable_of_a_lower_stage_changes_the_level_above(problem):
     level = problem.levels[0]
-    stage = reference_stage(problem.reference, second_stage_room(problem))
-    assert np.abs(level.matrix @ stage.basis).max() <= ROUNDING * np.abs(level.matrix).max()
+    for second in (some_level("equal"), some_level("at_most")):
+        room = second_room(with_second_level(problem, second))
+        for stage in (level_stage(room), reference_stage(room)):
+            assert np.abs(level.matrix @ stage.basis).max() <= ROUNDING * np.abs(level.matrix).max()
+
+
+def test_a_lower_levels_rank_counts_against_its_whole_matrix():
+    # In the direction that is left the level moves by 1e-9 of what it could: rounding, not a task.
+    room = diagonal_room([Level([[1.0, 0.0]], [1.0]), Level([[1.0, 1e-9]], [1.0])])
+    room = room.after(room.origin, level_stage(room).unfelt)
+    assert level_stage(room).costed == 0
+
+
+def test_stages_are_numbered_from_the_top():
+    room = second_room(with_second_level(PROBLEMS[0], some_level("equal")))
+    second = level_stage(room)
+    last = reference_stage(room.after(second.dtheta(np.zeros(second.size)), second.unfelt))
+    assert [first_stage(PROBLEMS[0]).place, second.place, last.place] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_every_row_of_a_stage_is_the_pooled_row_that_its_id_names(seed):
+    problem = random_hierarchy(seed, joints=(3, 12)).problem
+    hierarchy = Hierarchy(problem, 1e-7)
+    room = Room.whole(hierarchy)
+    for level in problem.levels:
+        stage = level_stage(room)
+        dtheta = stage.dtheta(np.zeros(stage.size))
+        assert len(stage.row_ids) == (0 if stage.problem.G is None else len(stage.problem.h))
+        assert len(set(stage.row_ids)) == len(stage.row_ids)
+        for x in np.random.default_rng(seed).normal(size=(3, stage.size)):
+            moved = hierarchy.rows.matrix[stage.row_ids] @ (stage.dtheta(x) - dtheta)
+            if not level.is_soft and stage.problem.G is not None:
+                lengths = np.linalg.norm(hierarchy.rows.matrix[stage.row_ids] @ stage.basis, axis=1)
+                assert stage.problem.G @ x * lengths == pytest.approx(moved, abs=1e-9 * np.linalg.norm(stage.basis @ x))
+        room = room.after(dtheta, stage.unfelt)
+        assert (hierarchy.rows.level[room.row_ids] < room.place).all()
+
+
+# Soft levels.
+
+
+@pytest.fixture
+def soft_room() -> Room:
+    """The room of a level of two soft rows on two joints beside a hard one, at dθ = 0: it exceeds the first by 3."""
+    level = Level([[3.0, 4.0], [0.0, 2.0]], [-3.0, 5.0], [4.0, 1.0], "soft", "at_most")
+    return diagonal_room([level], rows=Rows([[1.0, 0.0]], [2.0]))
+
+
+def test_a_soft_stages_first_variables_are_the_weighted_excesses_in_units_and_cost_their_square(soft_room):
+    stage = level_stage(soft_room)
+    assert (stage.costed, stage.size) == (2, 4)
+    assert np.array_equal(stage.problem.P, np.diag([1.0, 1.0, 0.0, 0.0]))
+    # √w times the excess of dθ = 0 is (2·3, 0), and the unit is the length of √w b = (-6, 5).
+    assert stage.problem.q == pytest.approx([6.0 / np.sqrt(61.0), 0.0, 0.0, 0.0], abs=ROUNDING)
+    assert np.array_equal(stage.basis[:, :2], np.zeros((2, 2)))
+
+
+def test_a_soft_stages_best_excesses_cost_what_the_level_does(soft_room):
+    (level,) = soft_room.hierarchy.problem.levels
+    stage = level_stage(soft_room)
+    unit = np.sqrt(61.0)
+    constant = level.cost(soft_room.origin) / (2.0 * unit**2)
+    for z in np.random.default_rng(5).normal(scale=5.0, size=(20, 2)):
+        x = np.append([0.0, 0.0], z)
+        dtheta = stage.dtheta(x)
+        x[:2] = (np.sqrt(level.weights) * level.residual(dtheta) - [6.0, 0.0]) / unit
+        own = stage.problem.G[1:] @ x - stage.problem.h[1:]
+        assert own.max() <= ROUNDING * np.abs(stage.problem.h).max()
+        assert objective(stage, x) + constant == pytest.approx(level.cost(dtheta) / (2.0 * unit**2), rel=1e-12)
+        # Any less of an excess that there is, and its row is broken.
+        for i in np.flatnonzero(level.residual(dtheta)):
+            less = x - 1e-6 * np.eye(4)[i]
+            assert (stage.problem.G[1 + i] @ less - stage.problem.h[1 + i]) > 1e-9
+
+
+def test_a_soft_stage_holds_its_hard_rows_as_they_are(soft_room):
+    stage = level_stage(soft_room)
+    assert stage.row_ids.tolist() == [0, 1, 2]
+    for z in (1.0, -1.0):
+        x = np.array([9.0, 9.0, z, z])
+        dtheta = stage.dtheta(x)
+        assert (stage.problem.G[0] @ x <= stage.problem.h[0]) == (dtheta[0] <= 2.0)
+
+
+def test_the_rows_of_a_soft_level_join_those_of_the_levels_below():
+    levels = [Level([[3.0, 4.0]], [-5.0], kind="at_most"), Level([[1.0, 0.0]], [1.0])]
+    room = diagonal_room(levels, rows=Rows([[0.0, 2.0]], [8.0]))
+    # Two of the five that it asks for are met at (-0.24, -0.32): the rest may not grow.
+    after = room.after(np.array([-0.24, -0.32]), np.eye(2))
+    assert after.hierarchy.rows.level.tolist() == [HARD, 0]
+    assert after.row_ids.tolist() == [0, 1]
+    assert after.slack == pytest.approx([4.32, 0.0], abs=ROUNDING)
+    stage = level_stage(after)
+    assert stage.row_ids.tolist() == [0, 1]
+    assert (stage.problem.h >= 0.0).all()
+
+
+# The last level.
 
 
 @pytest.mark.parametrize("problem", PROBLEMS)
 def test_the_last_stages_cost_is_the_distance_to_the_reference(problem):
-    stage = reference_stage(problem.reference, second_stage_room(problem))
+    stage = reference_stage(second_room(problem))
     unit = np.linalg.norm(stage.basis[:, 0])
     points = np.random.default_rng(3).normal(size=(20, stage.size))
     gaps = [np.sum((stage.dtheta(x) - problem.reference) ** 2) / (2.0 * unit**2) - objective(stage, x) for x in points]
@@ -173,42 +360,38 @@ def test_the_last_stages_cost_is_the_distance_to_the_reference(problem):
 
 @pytest.mark.parametrize("problem", PROBLEMS)
 def test_far_rows_are_cut_only_beyond_where_the_last_optimum_can_be(problem):
-    stage = reference_stage(problem.reference, second_stage_room(problem))
+    stage = reference_stage(second_room(problem))
     assert stage.problem.h.max() <= FAR_SLACK
     assert np.linalg.norm(stage.problem.q) <= 1.0 + ROUNDING  # so the optimum is within 2 of x = 0
 
 
-@pytest.mark.parametrize("problem", PROBLEMS)
-def test_the_unconstrained_optimum_maps_back_to_the_closed_forms_displacement(problem):
-    level, stage = problem.levels[0], first_stage(problem, QP_ONLY)
-    factors = level_decomposition(level, np.eye(5), 1e-6)
-    wanted = resulting_displacement(factors.j_a, level.weights, level.target)
-    reached = level.matrix @ stage.dtheta(-stage.problem.q)
-    assert reached == pytest.approx(wanted, abs=1e-10 * np.linalg.norm(wanted))  # weights 0.01 and 200: four digits
+# Units.
 
 
-def test_the_unconstrained_optimum_of_a_recorded_step_is_the_closed_forms_displacement():
-    for problem in free_steps():
-        level, stage = problem.levels[0], first_stage(problem, QP_ONLY)
-        dx_b = weighted_optimum(
-            level_decomposition(level, np.eye(49), QP_ONLY.rank_tolerance).j_a, level.weights, level.target
+def test_directions_without_cost_are_counted_in_what_a_step_is_likely_to_measure():
+    room = diagonal_room([Level([[1.0, 0.0]], [0.3]), Level([[0.0, 1.0]], [9.0], kind="at_most")], reference=[0.0, 0.4])
+    stage = level_stage(room)
+    assert np.linalg.norm(stage.basis, axis=0) == pytest.approx([0.3, room.hierarchy.length], rel=1e-15)
+    soft = level_stage(room.after(room.origin, stage.unfelt))
+    assert np.linalg.norm(soft.basis, axis=0) == pytest.approx([0.0, room.hierarchy.length], rel=1e-15)
+
+
+@pytest.mark.parametrize("scale", [2.0**-10, 2.0**10])
+def test_a_step_of_another_size_is_the_same_stage(scale):
+    for problem in PROBLEMS:
+        level = problem.levels[0]
+        bounds = Bounds(scale * problem.bounds.lower, scale * problem.bounds.upper)
+        rows = Rows(problem.rows.matrix, scale * problem.rows.upper)
+        scaled = IKProblem(
+            [Level(level.matrix, scale * level.target, level.weights)], bounds, rows, scale * problem.reference
         )
-        assert np.linalg.norm(dx_b) > 0.0
-        wanted = level.matrix @ strict_solution(problem.levels, problem.reference)
-        assert level.matrix @ stage.dtheta(-stage.problem.q) == pytest.approx(wanted, abs=WEIGHTED * np.linalg.norm(wanted))
+        assert step_scale(Hierarchy(scaled).closed_form) > STEP_FLOOR
+        one, other = first_stage(problem).problem, first_stage(scaled).problem
+        for name in ("P", "q", "G", "h"):
+            assert getattr(other, name) == pytest.approx(getattr(one, name), rel=ROUNDING, abs=ROUNDING), name
 
 
-def test_directions_below_the_rank_tolerance_cost_nothing():
-    level = Level(np.diag([1.0, 1e-4]), [1.0, 1.0])
-    room = Room(np.zeros(2), np.eye(2), np.zeros((0, 2)), np.zeros(0))
-    assert [task_stage(level, room, tolerance).costed for tolerance in (1e-3, 1e-5)] == [1, 2]
-
-
-def test_a_lower_levels_rank_counts_against_its_whole_matrix():
-    # In the direction that is left the level moves by 1e-9 of what it could: rounding, not a task.
-    level = Level([[1.0, 1e-9]], [1.0])
-    room = Room(np.zeros(2), np.array([[0.0], [1.0]]), np.zeros((0, 2)), np.zeros(0))
-    assert task_stage(level, room, 1e-6).costed == 0
+# The damped QP.
 
 
 @pytest.mark.parametrize("problem", PROBLEMS)
@@ -224,6 +407,13 @@ def test_the_damped_stage_is_the_damped_normal_equations_in_joint_steps(problem)
     assert stage.as_it_stands
 
 
+def test_the_damped_stage_holds_an_equality_from_both_sides():
+    problem = IKProblem([Level(np.eye(2), [1.0, 1.0])], equalities=Equalities([[1.0, 2.0]], [3.0]))
+    qp = damped_stage(problem, problem.levels[0], 1e-3).problem
+    assert np.array_equal(qp.G, [[1.0, 2.0], [-1.0, -2.0]])
+    assert np.array_equal(qp.h, [3.0, -3.0])
+
+
 def test_the_damped_stage_of_a_free_problem_has_no_rows_or_bounds():
     problem = IKProblem([Level(np.eye(2), [1.0, 1.0])])
     qp = damped_stage(problem, problem.levels[0], 1e-3).problem
@@ -236,15 +426,34 @@ def test_the_first_stage_to_look_at_is_that_of_the_formulation():
     assert not first_stage(problem, SolveOptions()).as_it_stands
 
 
-def test_the_damped_formulation_takes_one_level_only():
-    levels = [Level(np.eye(2), [1.0, 1.0])] * 2
-    with pytest.raises(InputError, match="takes one level, not 2"):
+@pytest.mark.parametrize(
+    ("kinds", "said"),
+    [(["equal", "equal"], "one level, not 2"), (["at_most"], "a level of kind 'equal', not 'at_most'")],
+    ids=["two levels", "a soft one"],
+)
+def test_the_damped_formulation_takes_one_equal_level_only(kinds: list[str], said: str):
+    levels = [Level(np.eye(2), [1.0, 1.0], kind=kind) for kind in kinds]
+    with pytest.raises(InputError, match=f"the damped formulation takes {said}; use 'lexicographic'"):
         first_stage(IKProblem(levels), SolveOptions(formulation="damped"))
 
 
-def test_the_null_space_left_by_a_stage_is_what_its_level_does_not_feel():
+# Sabotage.
+
+SABOTAGE: dict[str, Callable[[Stage], np.ndarray]] = {
+    "a felt direction a thousandth too long": lambda stage: stage.basis * np.append(1.001, np.ones(stage.size - 1)),
+    "a felt direction turned by a thousandth": lambda stage: stage.basis + 1e-3 * stage.basis[:, [1, 0, 2, 3, 4]],
+    "an unfelt direction that the level feels a little": lambda stage: (
+        stage.basis + 1e-3 * np.outer(stage.basis[:, 0], [0.0, 0.0, 1.0, 0.0, 0.0])
+    ),
+}
+
+
+@pytest.mark.parametrize("broken", SABOTAGE.values(), ids=SABOTAGE.keys())
+def test_a_basis_that_is_wrong_by_a_thousandth_has_another_cost(broken):
     for problem in PROBLEMS:
-        stage = first_stage(problem, QP_ONLY)
-        factors = level_decomposition(problem.levels[0], np.eye(5), 1e-6)
-        assert stage.unfelt.T @ stage.unfelt == pytest.approx(np.eye(3), abs=ROUNDING)
-        assert stage.unfelt == pytest.approx(null_space(factors.j_b), abs=ROUNDING)
+        level, stage = problem.levels[0], first_stage(problem, QP_ONLY)
+        unit = np.linalg.norm(np.sqrt(level.weights) * level.target)
+        points = np.random.default_rng(0).normal(size=(20, stage.size))
+        basis = broken(stage)
+        gaps = [level.cost(basis @ x) / (2.0 * unit**2) - objective(stage, x) for x in points]
+        assert np.ptp(gaps) > 1e3 * ROUNDING * np.abs([objective(stage, x) for x in points]).max()

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.solvers.closed_form import strict_solution
+from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.winding.episode import Episode, wind
 from prioritized_ik.winding.settings import WindingSettings

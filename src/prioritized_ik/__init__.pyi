@@ -9,6 +9,7 @@ from .virtual_arms import VirtualArms as VirtualArms
 
 # problem
 from .problem import Bounds as Bounds
+from .problem import Equalities as Equalities
 from .problem import IKProblem as IKProblem
 from .problem import Level as Level
 from .problem import Rows as Rows
@@ -21,6 +22,11 @@ from .limits import step_bounds as step_bounds
 from .solvers.lexicographic import SolveOptions as SolveOptions
 from .solvers.lexicographic import solve as solve
 from .solvers.step import JointStep as JointStep
+from .solvers.step import StepStatus as StepStatus
+from .solvers.certificate import Certificate as Certificate
+from .solvers.certificate import certify as certify
+from .solvers.explain import explain as explain
+from .solvers.backends.registry import get_backend as get_backend
 from .solvers.backends.registry import installed_solvers as installed_solvers
 
 # winding
@@ -31,4 +37,5 @@ from .winding.metrics import measure as measure
 
 # errors
 from .errors import PrioritizedIkError as PrioritizedIkError
+from .errors import InfeasibleError as InfeasibleError
 from .errors import StepNotFoundError as StepNotFoundError

@@ -25,5 +25,13 @@ class StepNotFoundError(PrioritizedIkError):
         self.step = step
 
 
+class InfeasibleError(StepNotFoundError):
+    """No step keeps all hard rows. The message names the rows in conflict, and `step.conflict` holds them."""
+
+
 class EpisodeFileError(PrioritizedIkError):
     """A saved episode cannot be read or written."""
+
+
+class WitnessError(PrioritizedIkError):
+    """The reference solution could not be computed; the message names the stage and what the solver said."""

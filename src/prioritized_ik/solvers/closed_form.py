@@ -8,7 +8,6 @@ Shapes throughout: J_a `(L, p)` and J_b `(p, m)`, both of full rank; `weights`, 
 `(L,)` [m]; `dx_b` `(p,)`; `reference`, r, `(m,)` [rad].
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -139,39 +138,21 @@ def overconstrained_solution(
     return weighted_optimum(jacobian, weights, dx_desired)
 
 
-def strict_solution(levels: Sequence[Level], reference: Array, rank_tolerance: float = RANK_TOLERANCE) -> Array:
-    """Return the joint step `(m,)` of all levels in strict order, then the nearest to `reference`, without inequalities.
+def level_decomposition(level: Level, free: Array, rank_tolerance: float) -> tuple[RankDecomposition, Array]:
+    """Eq. (6) of what a level can still do in orthonormal `free` directions `(m, f)`, and what it cannot.
 
-    Each level is solved by Eqs. (12) and (14) in the directions that the levels before it leave free. With one level it
-    is Eqs. (12) and (13).
+    The rank is that of the level's matrix, whatever its weights, and counts against all the level could do.
+
+    Returns:
+        J_a `(k, p)` and J_b `(p, f)`, whose rows are orthonormal; and a basis `(f, f - p)` of what the level does not feel.
     """
-    dtheta = np.zeros_like(reference)
-    free = np.eye(len(reference))  # columns: the directions still free
-    for level in levels:
-        if not free.shape[1]:
-            return dtheta
-        factors = level_decomposition(level, free, rank_tolerance)
-        dx_b = weighted_optimum(factors.j_a, level.weights, level.target - level.matrix @ dtheta)
-        dtheta = dtheta + free @ minimum_norm_solution(factors.j_b, dx_b)
-        free = free @ null_space(factors.j_b)
-    return dtheta + free @ (free.T @ (reference - dtheta))
-
-
-def level_decomposition(level: Level, free: Array, rank_tolerance: float) -> RankDecomposition:
-    """Eq. (6) of what a level can still do in the `free` directions `(m, f)`; J_b has orthonormal rows.
-
-    The rank is that of the level's matrix, whatever its weights, and counts against all the level could do. The factors
-    are those of W^½ J with W^½ taken out again: the rounding of factors of J itself would be magnified by the weights,
-    which costs three digits with those of Eq. (23).
-    """
+    m = level.matrix.shape[1]
     matrix = level.matrix @ free
-    strengths = np.linalg.svd(matrix, compute_uv=False)
-    whole = free.shape[1] == level.matrix.shape[1]
-    largest = strengths.max(initial=0.0) if whole else np.linalg.norm(level.matrix, 2)
-    p = int(np.count_nonzero(strengths > fraction("rank_tolerance", rank_tolerance) * largest))
-    root = np.sqrt(level.weights)[:, None]
-    u, s, vt = np.linalg.svd(root * matrix, full_matrices=False)
-    return RankDecomposition(u[:, :p] * s[:p] / root, vt[:p])
+    _, s, vt = np.linalg.svd(matrix, full_matrices=len(matrix) < free.shape[1])
+    largest = s.max(initial=0.0) if free.shape[1] == m else np.linalg.norm(level.matrix, 2)
+    p = int(np.count_nonzero(s > fraction("rank_tolerance", rank_tolerance) * largest))
+    # Not U S: its rounding, relative to all of J, would be magnified by the weights.
+    return RankDecomposition(matrix @ vt[:p].T, vt[:p]), vt[p:].T
 
 
 def null_space(j_b: Array) -> Array:

@@ -1,20 +1,25 @@
 """The fold over the levels: each stage moves from the last one's answer, only along what changes nothing above it.
 
-The closed form comes first: if it meets every row it is the optimum of every level, and no QP is needed.
+The closed form comes first: if it meets every row it is the optimum of every level, and no QP is needed. The polish comes
+last: it makes the answer exact, and the certificate proves it.
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
-import numpy as np
-import scipy.optimize
-
-from prioritized_ik.errors import InputError, StepNotFoundError
-from prioritized_ik.problem import STEP_FLOOR, IKProblem, Level
-from prioritized_ik.solvers.backends.protocol import Backend, StageResult
+from prioritized_ik.errors import InfeasibleError, InputError, StepNotFoundError
+from prioritized_ik.problem import IKProblem, Level, step_scale
+from prioritized_ik.solvers.backends.protocol import Backend, StageResult, WholeBackend
 from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend
-from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, null_space, rank_decomposition_svd, strict_solution
-from prioritized_ik.solvers.stages import SETTLED_ROW, Room, Stage, damped_stage, reference_stage, task_stage
+from prioritized_ik.solvers.certificate import Proof
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
+from prioritized_ik.solvers.cones import directions_left
+from prioritized_ik.solvers.conflict import find_conflict
+from prioritized_ik.solvers.hierarchy import Hierarchy
+from prioritized_ik.solvers.polish import Polished, polish
+from prioritized_ik.solvers.stages import Room, Stage, damped_stage, level_stage, reference_stage
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.validation import Array, fraction, non_negative, one_of
 
@@ -27,7 +32,9 @@ ACCEPTED_VIOLATION = 1e-6
 FREE = 1e-12
 
 TIGHT = 1e-7  # [rad] a row this close to binding is tight: ten times what a solver at accuracy 1e-8 leaves open
-PARALLEL = 1e-5  # tight rows that leave a wedge narrower than this leave no room: solvers fail on narrower ones
+NARROW = 1e-5  # tight rows that leave a wedge narrower than this leave no room: solvers fail on narrower ones
+
+AnyBackend = Backend | WholeBackend
 
 
 @dataclass(frozen=True)
@@ -40,6 +47,8 @@ class SolveOptions:
         rank_tolerance: relative to the largest singular value of J; shared by closed form and QP.
         damping: of the damped formulation; mink's and pink's own default.
         closed_form_first: whether a closed-form step that meets every row is the answer.
+        polish: whether the solver's answer is made exact; its certificate is computed in any case.
+        soften: names of hard bounds and rows that become the most important level instead, one of soft inequalities.
     """
 
     formulation: str = "lexicographic"
@@ -47,52 +56,74 @@ class SolveOptions:
     rank_tolerance: float = RANK_TOLERANCE
     damping: float = 1e-12
     closed_form_first: bool = True
+    polish: bool = True
+    soften: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         one_of("formulation", self.formulation, FORMULATIONS)
         non_negative("damping", self.damping)
         fraction("rank_tolerance", self.rank_tolerance)
         fraction("accuracy", self.accuracy)
+        object.__setattr__(self, "soften", tuple(self.soften))
 
 
-def solve(problem: IKProblem, solver: str = "daqp", options: SolveOptions | None = None) -> JointStep:
+def solve(problem: IKProblem, solver: str | AnyBackend = "daqp", options: SolveOptions | None = None) -> JointStep:
     """Return the joint step that is optimal at every level of `problem`.
 
     Args:
-        problem: levels, bounds, rows and reference.
-        solver: one of `known_solvers()`.
+        problem: levels, bounds, rows, equalities and reference.
+        solver: one of `known_solvers()`, or a backend from `get_backend`: those that start warm remember their last step.
         options: see `SolveOptions`.
 
     Raises:
         SolverUnavailableError: unknown solver, or not installed.
+        InfeasibleError: no step keeps all hard rows; it names those in conflict.
         StepNotFoundError: the solver failed or broke a row; the exception keeps the step's figures.
     """
     options = options or SolveOptions()
-    step = joint_step(problem, get_backend(solver, options.accuracy), options)
+    backend = backend_for(solver, options) if isinstance(solver, str) else solver
+    step = joint_step(problem, backend, options)
+    if step.conflict is not None:
+        raise InfeasibleError(str(step.conflict), step)
     if not step.found:
-        raise StepNotFoundError(f"{solver}: {step.status.value}. {step.message}".rstrip(), step)
+        raise StepNotFoundError(f"{backend.name}: {step.status.value}. {step.message}".rstrip(), step)
     return step
 
 
-def joint_step(problem: IKProblem, backend: Backend, options: SolveOptions) -> JointStep:
+def backend_for(solver: str, options: SolveOptions) -> AnyBackend:
+    """Return the backend of a solver, refined by itself only where no polish follows. Raises as `get_backend` does."""
+    return get_backend(solver, options.accuracy, refine=not options.polish)
+
+
+def joint_step(problem: IKProblem, backend: AnyBackend, options: SolveOptions) -> JointStep:
     """Return the outcome of one solve as data: a failure is a status, not an exception. See `solve`."""
-    started = time.perf_counter()
-    if options.closed_form_first and options.formulation == "lexicographic":
-        dtheta = strict_solution(problem.levels, problem.reference, options.rank_tolerance)
-        if problem.relative_violation(dtheta) <= FREE:
-            step = _accepted(problem, dtheta, StepStatus.CLOSED_FORM)
-            return replace(step, timings=Timings(time.perf_counter() - started, 0.0))
-    clock = _Clock(backend)
-    answer = _fold(problem, clock, options) if options.formulation == "lexicographic" else _damped(problem, clock, options)
-    timings = Timings(time.perf_counter() - started - clock.seconds, clock.seconds)
-    if isinstance(answer, str):
-        return JointStep(None, StepStatus.NOT_FOUND, answer, timings=timings, calls=clock.calls)
-    step = _accepted(problem, answer, StepStatus.SOLVED)
-    if step.violation > ACCEPTED_VIOLATION:
-        step = replace(
-            step, dtheta=None, status=StepStatus.VIOLATED, message=f"worst relative violation {step.violation:.1e}"
-        )
-    return replace(step, timings=timings, calls=clock.calls)
+    clock = _Clock()
+    if options.soften:
+        problem = problem.softened(options.soften)
+    if options.formulation == "damped":
+        answer = _damped(problem, backend, clock, options)
+        timings = clock.timings()
+        hierarchy = Hierarchy(problem, options.rank_tolerance)
+        options = replace(options, polish=False)
+    else:
+        hierarchy = Hierarchy(problem, options.rank_tolerance)
+        if options.closed_form_first and _meets_every_row(hierarchy):
+            step = _step(hierarchy, hierarchy.closed_form, StepStatus.CLOSED_FORM)
+            return replace(step, timings=clock.timings())
+        answer = _fold(hierarchy, backend, clock, exact=False)
+        timings = clock.timings()
+    step = _finished(hierarchy, answer, options)
+    wanting = step.status in (StepStatus.UNCERTIFIED, StepStatus.NOT_FOUND)
+    if wanting and options.polish and not isinstance(backend, WholeBackend):
+        # An error of an upper level can have sent those below astray: once more, with every level made exact in turn.
+        again = _finished(hierarchy, _fold(hierarchy, backend, clock, exact=True), options)
+        step = again if again.found else step
+    spent = clock.timings()
+    return replace(
+        step,
+        timings=Timings(timings.build, spent.solve, spent.build - timings.build),
+        calls=clock.calls,
+    )
 
 
 def first_stage(problem: IKProblem, options: SolveOptions | None = None) -> Stage:
@@ -100,88 +131,115 @@ def first_stage(problem: IKProblem, options: SolveOptions | None = None) -> Stag
     options = options or SolveOptions()
     if options.formulation == "damped":
         return damped_stage(problem, _only_level(problem), options.damping)
-    return task_stage(problem.levels[0], Room.whole(problem), options.rank_tolerance)
+    return level_stage(Room.whole(Hierarchy(problem, options.rank_tolerance)))
 
 
 class _Clock:
-    """A backend that is timed."""
+    """Times one solve, from when this is made, and the backend's part of it."""
 
-    def __init__(self, backend: Backend) -> None:
-        self._backend = backend
+    def __init__(self) -> None:
         self.seconds = 0.0
         self.calls = 0
+        self._started = time.perf_counter()
 
-    def solve(self, stage: Stage) -> StageResult:
+    def timed(self, call: Callable[[], StageResult]) -> StageResult:
+        """Return what a call of the backend returns."""
         started = time.perf_counter()
-        result = self._backend.solve(stage)
+        result = call()
         self.seconds += time.perf_counter() - started
         self.calls += result.calls
         return result
 
+    def timings(self) -> Timings:
+        """Return the times until now: inside the backend, and outside it."""
+        return Timings(time.perf_counter() - self._started - self.seconds, self.seconds)
 
-def _fold(problem: IKProblem, backend: _Clock, options: SolveOptions) -> Array | str:
-    """Return dθ `(m,)`, or why there is none."""
-    room = Room.whole(problem)
-    for level in problem.levels:
-        stage = task_stage(level, room, options.rank_tolerance)
-        result = backend.solve(stage)
+
+def _meets_every_row(hierarchy: Hierarchy) -> bool:
+    """Whether the closed form keeps every hard and soft row, and so is the optimum of every level."""
+    dtheta = hierarchy.closed_form
+    allowed = FREE * step_scale(dtheta)
+    return bool((hierarchy.rows.slack(dtheta) >= -allowed).all()) and hierarchy.problem.relative_violation(dtheta) <= FREE
+
+
+def _fold(hierarchy: Hierarchy, backend: AnyBackend, clock: _Clock, *, exact: bool) -> Array | str:
+    """Return the solver's dθ `(m,)`, each level's answer polished if `exact`, or why there is none."""
+    if isinstance(backend, WholeBackend):
+        result = clock.timed(partial(backend.solve_whole, hierarchy))
+        return result.message if result.x is None else result.x
+    room = Room.whole(hierarchy)
+    for level in hierarchy.problem.levels:
+        stage = level_stage(room)
+        result = clock.timed(partial(backend.solve, stage))
         if result.x is None:
             return f"level {level.name!r}: {result.message}"
         dtheta = stage.dtheta(result.x)
-        room = room.after(dtheta, _directions_left(room.after(dtheta, stage.unfelt)))
-        if not room.free.shape[1]:
+        if exact:
+            so_far = _exact_so_far(hierarchy, room.place, dtheta)
+            dtheta, free = so_far.dtheta, so_far.proof.free
+        else:
+            left = room.after(dtheta, stage.unfelt)
+            free = directions_left(left.free, left.rows[left.slack <= TIGHT], NARROW)
+        room = room.after(dtheta, free)
+        if not free.shape[1]:
             return dtheta
-    stage = reference_stage(problem.reference, room)
-    result = backend.solve(stage)
+    stage = reference_stage(room)
+    result = clock.timed(partial(backend.solve, stage))
     return f"last level: {result.message}" if result.x is None else stage.dtheta(result.x)
 
 
-def _directions_left(room: Room) -> Array:
-    """Return the directions `(m, f)` among the free ones of `room` in which no tight row is bound to stay tight.
-
-    Tight rows B can leave a level's optima no room on either side: where a positive combination λᵀB vanishes, the rows
-    in it are zero throughout {w: B w <= 0} (Stiemke). For all levels below they are equalities, and handing them on as
-    inequalities would leave a feasible set without interior, on which most solvers fail. This is a matter of geometry,
-    so it does not depend on the size of multipliers.
-    """
-    lengths = np.linalg.norm(room.rows, axis=1)
-    tight = room.rows[room.slack <= TIGHT * lengths]
-    free = room.free
-    while len(tight) and free.shape[1]:
-        cone = tight @ free
-        norms = np.linalg.norm(cone, axis=1)
-        moving = norms > SETTLED_ROW * np.linalg.norm(tight, axis=1)
-        if not moving.any():
-            return free
-        cone = cone[moving] / norms[moving, None]
-        # The shortest convex combination of the rows: if it is not zero, it points to where all of them are strict.
-        convex = np.vstack([cone.T, np.ones(len(cone))])
-        combination, distance = scipy.optimize.nnls(convex, np.eye(len(convex))[-1])
-        if distance > PARALLEL:
-            return free
-        free = free @ null_space(rank_decomposition_svd(cone[combination > PARALLEL], PARALLEL).j_b)
-    return free
-
-
-def _damped(problem: IKProblem, backend: _Clock, options: SolveOptions) -> Array | str:
+def _damped(problem: IKProblem, backend: AnyBackend, clock: _Clock, options: SolveOptions) -> Array | str:
     """Return dθ `(m,)` of the damped QP, or why there is none."""
+    if isinstance(backend, WholeBackend):
+        raise InputError(f"{backend.name} solves whole hierarchies; the damped formulation needs a solver of single QPs.")
     stage = damped_stage(problem, _only_level(problem), options.damping)
-    result = backend.solve(stage)
+    result = clock.timed(partial(backend.solve, stage))
     return result.message if result.x is None else stage.dtheta(result.x)
+
+
+def _exact_so_far(hierarchy: Hierarchy, place: int, dtheta: Array) -> Polished:
+    """Return the optimum of the levels up to `place` that is nearest to `dtheta`, an answer to them."""
+    problem = hierarchy.problem
+    so_far = IKProblem(problem.levels[: place + 1], problem.bounds, problem.rows, dtheta, problem.equalities)
+    return polish(Hierarchy(so_far, hierarchy.rank_tolerance), dtheta)
+
+
+def _finished(hierarchy: Hierarchy, answer: Array | str, options: SolveOptions) -> JointStep:
+    """Return the step that a solver's answer leads to: polished, certified, and refused if it breaks a row.
+
+    Of a solver that gave up, `answer` says why; the rows may be in conflict.
+    """
+    if isinstance(answer, str):
+        conflict = find_conflict(hierarchy.problem)
+        status = StepStatus.NOT_FOUND if conflict is None else StepStatus.INFEASIBLE
+        return JointStep(None, status, answer, conflict=conflict)
+    polished = polish(hierarchy, answer) if options.polish else Polished(answer, Proof(hierarchy, answer), 0)
+    status = StepStatus.SOLVED if polished.proof.certificate.holds else StepStatus.UNCERTIFIED
+    step = replace(_step(hierarchy, polished.dtheta, status, polished.proof), raw=answer, repairs=polished.repairs)
+    if step.violation <= ACCEPTED_VIOLATION:
+        return step
+    conflict = find_conflict(hierarchy.problem)
+    status = StepStatus.VIOLATED if conflict is None else StepStatus.INFEASIBLE
+    message = f"worst relative violation {step.violation:.1e}"
+    return replace(step, dtheta=None, status=status, message=message, conflict=conflict)
+
+
+def _step(hierarchy: Hierarchy, dtheta: Array, status: StepStatus, proof: Proof | None = None) -> JointStep:
+    problem = hierarchy.problem
+    certificate = (proof or Proof(hierarchy, dtheta)).certificate
+    return JointStep(
+        dtheta,
+        status,
+        costs=tuple(level.cost(dtheta) for level in problem.levels),
+        tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * step_scale(dtheta)),
+        violation=certificate.violation,
+        certificate=certificate,
+    )
 
 
 def _only_level(problem: IKProblem) -> Level:
     if len(problem.levels) != 1:
         raise InputError(f"the damped formulation takes one level, not {len(problem.levels)}; use 'lexicographic'.")
+    if problem.levels[0].is_soft:
+        raise InputError("the damped formulation takes a level of kind 'equal', not 'at_most'; use 'lexicographic'.")
     return problem.levels[0]
-
-
-def _accepted(problem: IKProblem, dtheta: Array, status: StepStatus) -> JointStep:
-    scale = max(float(np.linalg.norm(dtheta)), STEP_FLOOR)
-    return JointStep(
-        dtheta,
-        status,
-        costs=tuple(level.cost(dtheta) for level in problem.levels),
-        tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * scale),
-        violation=problem.relative_violation(dtheta),
-    )

@@ -1,30 +1,25 @@
 """One level of a problem as one QP, scaled so that every solver can solve it.
 
 A stage starts at the answer of the stage before, `origin`, and moves along `free`, the directions that change nothing
-above it: dθ = origin + free w. With J = A free and the decomposition J = J_a J_b (Eq. 6), the QP's variables x = (y, z)
-are
+above it: dθ = origin + free w. Its variables x = (y, z) are
 
-    y = R J_b w,  with W^½ J_a = Q R     the residual's own coordinates: the cost is ½‖y - Qᵀ W^½ b‖² and no more,
-    z = N w,      N a null space of J_b  the directions this level does not feel: they cost nothing.
+    y, the coordinates in which the level's cost is ½‖y - t‖² and no more (see `hierarchy.Whitened`),
+    z, along the directions this level does not feel: they cost nothing.
 
 This change of variables preconditions the problem (the Hessian is diag(1, 0)) without solving it: the solver gets the
 residual objective and every row that can move. Rows are divided by their norms, and y is counted in units of the level's
-own target, so that steps of millimetres do not drown in solver tolerances.
+own target, so that steps of millimetres do not drown in solver tolerances. For a soft level y is the excess itself.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import qpsolvers
-import scipy.linalg
+from numpy.typing import NDArray
 
 from prioritized_ik.problem import IKProblem, Level
-from prioritized_ik.solvers.closed_form import level_decomposition, null_space
+from prioritized_ik.solvers.hierarchy import HARD, SETTLED_ROW, Hierarchy, Task
 from prioritized_ik.validation import Array
-
-#: A row that moves by less than this fraction of its length along every free direction is settled by the levels above, and
-#: is left out: dividing it by its norm would turn rounding into a constraint.
-SETTLED_ROW = 2e-8
 
 #: In the last stage the optimum is within 2 units of x = 0, which is feasible; slacks beyond this can be cut to it
 #: without changing the optimum, and interior-point solvers start far off if they are not.
@@ -39,14 +34,18 @@ class Stage:
         problem: minimise ½ xᵀPx + qᵀx subject to Gx <= h: any qpsolvers backend can be called on it.
         origin: dθ at x = 0 `(m,)`.
         basis: `(m, v)`.
-        costed: how many of the variables, the first ones, the cost feels.
+        unfelt: orthonormal joint directions `(m, v - costed)` that the cost does not feel.
+        place: its position in the fold over levels, from 0.
+        row_ids: which of the hierarchy's pooled rows each row of G is `(r,)`.
         as_it_stands: whether a backend must solve exactly this QP, once, with its default options.
     """
 
     problem: qpsolvers.Problem
     origin: Array
     basis: Array
-    costed: int
+    unfelt: Array
+    place: int
+    row_ids: NDArray[np.int_]
     as_it_stands: bool = False
 
     def dtheta(self, x: Array) -> Array:
@@ -54,14 +53,14 @@ class Stage:
         return self.origin + self.basis @ x
 
     @property
-    def unfelt(self) -> Array:
-        """Orthonormal joint directions `(m, v - costed)` that this stage's cost does not feel."""
-        return self.basis[:, self.costed :]
-
-    @property
     def size(self) -> int:
         """Number of variables v."""
         return self.basis.shape[1]
+
+    @property
+    def costed(self) -> int:
+        """How many of the variables, the first ones, the cost feels."""
+        return self.size - self.unfelt.shape[1]
 
 
 @dataclass(frozen=True)
@@ -69,58 +68,86 @@ class Room:
     """What the levels so far leave to the next.
 
     Attributes:
-        origin: their answer `(m,)` [rad], or zero before the first.
+        hierarchy: the problem, its levels cut to their rank.
+        place: how many levels there were.
+        origin: their answer `(m,)` [rad], or the shortest step that keeps the equalities before the first.
         free: orthonormal directions `(m, f)` that change nothing above.
-        rows: the inequality rows that can still move `(r, m)`.
-        slack: how far `origin` is from each `(r,)`; not negative, so that `origin` itself is feasible.
+        row_ids: the pooled rows that count and can still move `(r,)`.
+        slack: how far `origin` is from each `(r,)` [rad]; once a stage is solved not negative, so that `origin` itself is
+            feasible.
     """
 
+    hierarchy: Hierarchy
+    place: int
     origin: Array
     free: Array
-    rows: Array
+    row_ids: NDArray[np.int_]
     slack: Array
 
     @staticmethod
-    def whole(problem: IKProblem) -> "Room":
-        """Return the room before the first level: everything."""
-        m, rows = problem.joint_count, problem.inequalities
-        moving = rows.matrix.any(axis=1)
-        return Room(np.zeros(m), np.eye(m), rows.matrix[moving], rows.upper[moving])
+    def whole(hierarchy: Hierarchy) -> "Room":
+        """Return the room before the first level: everything that the equalities leave."""
+        rows, free = hierarchy.rows, hierarchy.free
+        hard = np.flatnonzero(rows.level == HARD)
+        hard = hard[rows.reach(hard, free) > SETTLED_ROW]
+        return Room(hierarchy, 0, hierarchy.start, free, hard, rows.slack(hierarchy.start)[hard])
+
+    @property
+    def rows(self) -> Array:
+        """The rows that count `(r, m)`, of unit length."""
+        return self.hierarchy.rows.matrix[self.row_ids]
 
     def after(self, origin: Array, free: Array) -> "Room":
         """Return the room once `origin` is reached and only `free` directions are left.
 
-        What the stage just solved broke by rounding, the next may keep.
+        What the stage just solved broke by rounding, the next may keep. The rows of a soft level just solved join: none may
+        be exceeded by more than it is.
         """
-        slack = self.slack - self.rows @ (origin - self.origin)
-        reach = np.linalg.norm(self.rows @ free, axis=1)
-        moving = reach > SETTLED_ROW * np.linalg.norm(self.rows, axis=1)
-        return Room(origin, free, self.rows[moving], np.maximum(slack[moving], 0.0))
+        own = np.flatnonzero(self.hierarchy.rows.level == self.place)
+        ids = np.concatenate([self.row_ids, own])
+        rows = self.hierarchy.rows
+        moving = rows.reach(ids, free) > SETTLED_ROW
+        ids = ids[moving]
+        return Room(self.hierarchy, self.place + 1, origin, free, ids, np.maximum(rows.slack(origin)[ids], 0.0))
 
 
-def task_stage(level: Level, room: Room, rank_tolerance: float) -> Stage:
-    """Return the QP of one weighted level in the room that the levels above leave.
-
-    Args:
-        level: the level to minimise.
-        room: where it may move.
-        rank_tolerance: relative to the largest singular value of the level's matrix.
-    """
-    factors = level_decomposition(level, room.free, rank_tolerance)
-    root = np.sqrt(level.weights)
-    q, r = np.linalg.qr(root[:, None] * factors.j_a)
-    target = q.T @ (root * (level.target - level.matrix @ room.origin))
-    unit = max(np.linalg.norm(target), np.linalg.norm(root * level.target))
-    # J_b of the decomposition by singular values has orthonormal rows, so J_b⁺ = J_bᵀ.
-    felt = room.free @ scipy.linalg.solve_triangular(r, factors.j_b, trans="T").T
-    return _scaled_stage(room, felt, room.free @ null_space(factors.j_b), target, float(unit) or 1.0, np.inf)
+def level_stage(room: Room) -> Stage:
+    """Return the QP of the room's level."""
+    level, task = room.hierarchy.problem.levels[room.place], room.hierarchy.tasks[room.place]
+    return _soft_stage(level, room) if task is None else _task_stage(level, task, room)
 
 
-def reference_stage(reference: Array, room: Room) -> Stage:
+def reference_stage(room: Room) -> Stage:
     """Return the QP of the last level, min ‖dθ - r‖², whose cost feels every variable."""
-    target = room.free.T @ (reference - room.origin)
+    target = room.free.T @ (room.hierarchy.problem.reference - room.origin)
     unit = max(np.linalg.norm(target), np.linalg.norm(room.origin))
     return _scaled_stage(room, room.free, room.free[:, :0], target, float(unit) or 1.0, FAR_SLACK)
+
+
+def _task_stage(level: Level, task: Task, room: Room) -> Stage:
+    felt = task.within(room.free)
+    target = felt.project(task.missing(room.origin))
+    unit = max(np.linalg.norm(target), np.linalg.norm(np.sqrt(level.weights) * level.target))
+    return _scaled_stage(room, felt.felt, felt.unfelt, target, float(unit) or 1.0, np.inf)
+
+
+def _soft_stage(level: Level, room: Room) -> Stage:
+    """Return min ½‖w‖² over the excesses w `(k,)` of the level's rows, first variables, and all directions left."""
+    rows = room.hierarchy.rows
+    own = np.flatnonzero(rows.level == room.place)
+    slack, strengths = rows.slack(room.origin)[own], rows.strengths[own]
+    excess = strengths * np.maximum(-slack, 0.0)  # at x = 0, so that it is feasible
+    unit = float(max(np.linalg.norm(excess), np.linalg.norm(np.sqrt(level.weights) * level.target))) or 1.0
+    k, f = len(own), room.free.shape[1]
+    basis = np.hstack([np.zeros((len(room.origin), k)), room.hierarchy.length * room.free])
+    matrix = rows.matrix[np.concatenate([room.row_ids, own])] @ basis
+    matrix[len(room.row_ids) :, :k] = -np.diag(unit / strengths)
+    upper = np.concatenate([room.slack, slack + excess / strengths])
+    norms = np.linalg.norm(matrix, axis=1)
+    hessian = np.diag(np.repeat([1.0, 0.0], [k, f]))
+    linear = np.concatenate([excess / unit, np.zeros(f)])
+    qp = qpsolvers.Problem(hessian, linear, matrix / norms[:, None], upper / norms)
+    return Stage(qp, room.origin, basis, room.free, room.place, np.concatenate([room.row_ids, own]))
 
 
 def damped_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
@@ -129,25 +156,25 @@ def damped_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
     A different problem from Eqs. (12) to (14), for comparison: it is not scaled, and is solved as it stands, with
     the solver's default options.
     """
-    m, rows = problem.joint_count, problem.inequalities
+    m, rows, fixed = problem.joint_count, problem.inequalities, problem.equalities
     weighted = level.weights[:, None] * level.matrix
     hessian = level.matrix.T @ weighted + damping * np.eye(m)
     linear = -weighted.T @ level.target - damping * problem.reference
-    # Copies: a problem's arrays are read-only, and some solvers refuse those.
-    limits = (np.array(rows.matrix), np.array(rows.upper)) if len(rows.upper) else (None, None)
-    qp = qpsolvers.Problem(hessian, linear, *limits)
-    return Stage(qp, np.zeros(m), np.eye(m), costed=m, as_it_stands=True)
+    matrix = np.vstack([rows.matrix, fixed.matrix, -fixed.matrix])
+    upper = np.concatenate([rows.upper, fixed.target, -fixed.target])
+    qp = qpsolvers.Problem(hessian, linear, *((matrix, upper) if len(upper) else (None, None)))
+    return Stage(qp, np.zeros(m), np.eye(m), np.zeros((m, 0)), 0, np.arange(len(upper)), as_it_stands=True)
 
 
 def _scaled_stage(room: Room, felt: Array, unfelt: Array, target: Array, unit: float, far: float) -> Stage:
     """Return min ½‖y - target / unit‖² with dθ = origin + unit felt y + unfelt z and all rows that can move."""
     costed = felt.shape[1]
-    basis = np.hstack([unit * felt, unfelt])
+    basis = np.hstack([unit * felt, room.hierarchy.length * unfelt])
     hessian = np.diag(np.repeat([1.0, 0.0], [costed, unfelt.shape[1]]))
     linear = np.concatenate([-target / unit, np.zeros(unfelt.shape[1])])
-    if not len(room.rows):
-        return Stage(qpsolvers.Problem(hessian, linear), room.origin, basis, costed)
+    if not len(room.row_ids):
+        return Stage(qpsolvers.Problem(hessian, linear), room.origin, basis, unfelt, room.place, room.row_ids)
     rows = room.rows @ basis
     norms = np.linalg.norm(rows, axis=1)
     qp = qpsolvers.Problem(hessian, linear, rows / norms[:, None], np.minimum(room.slack / norms, far))
-    return Stage(qp, room.origin, basis, costed)
+    return Stage(qp, room.origin, basis, unfelt, room.place, room.row_ids)

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from enum import Enum
 
+from prioritized_ik.solvers.certificate import Certificate
+from prioritized_ik.solvers.conflict import Conflict
 from prioritized_ik.validation import Array
 
 
@@ -10,9 +12,11 @@ class StepStatus(Enum):
     """How a joint step came about; the text says what to do."""
 
     CLOSED_FORM = "no row binds: the step is the closed form, Eqs. (12) and (13); no QP was needed"
-    SOLVED = "the solver solved every stage and its step keeps every bound and row"
+    SOLVED = "every stage is solved, and the step is certified: it is the optimum of every level"
+    UNCERTIFIED = "the solver's step keeps every bound and row, but is not proven optimal: see its certificate's figures"
     VIOLATED = "the solver's step breaks a bound or row: tighten the accuracy or choose another solver"
     NOT_FOUND = "the solver gave no answer to a stage: choose another solver, or look at the rows for a conflict"
+    INFEASIBLE = "no step keeps all hard rows: leave out or soften one of those named"
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,12 @@ class Timings:
 
     build: float  # decompositions, changes of variables, stages
     solve: float  # inside the backend, refinement included
+    polish: float = 0.0  # polish and certificate
+
+    @property
+    def total(self) -> float:
+        """All of it."""
+        return self.build + self.solve + self.polish
 
 
 @dataclass(frozen=True)
@@ -36,6 +46,10 @@ class JointStep:
         violation: worst violation of a bound or row, relative to the step.
         timings: where the time went.
         calls: how often the solver was called.
+        certificate: the proof that the step is the optimum, or the figures that it lacks; None if there is no step.
+        raw: the solver's own step `(m,)` before it was polished; None if there was none.
+        repairs: how often the polish had to correct which rows the solver's step rests on.
+        conflict: of an infeasible problem, the rows that contradict each other.
     """
 
     dtheta: Array | None
@@ -46,6 +60,10 @@ class JointStep:
     violation: float = 0.0
     timings: Timings = Timings(0.0, 0.0)
     calls: int = 0
+    certificate: Certificate | None = None
+    raw: Array | None = None
+    repairs: int = 0
+    conflict: Conflict | None = None
 
     @property
     def found(self) -> bool:

@@ -8,15 +8,15 @@ The oddities were measured on the recorded winding steps (49 joints, whitened st
   the complementarity of inactive rows pushes on them. A zoom or two bring them to 1e-8.
 - ecos minimises through an epigraph cone: a cost right to ε leaves x right to about √ε only. Three zooms.
 - highs adds 1e-7 to its Hessian's diagonal: a zoom removes that.
-- daqp, quadprog, proxqp: where rows bind, the weak directions rest on multipliers of 1e-6, which a shift or a tolerance of
-  1e-8 disturbs: a zoom brings dθ from 1e-5 to 1e-8 of the others'. A shift of 1e-6 leaves two steps in 356 off by 70 %, at
-  a cost within 1e-9; daqp and quadprog bear 1e-8, which finds them. highs, ecos and cvxopt gain nothing by it.
+- daqp, quadprog, proxqp: where rows bind, the weak directions rest on tiny multipliers, which a shift or a tolerance of
+  1e-8 disturbs: a zoom mends that. A shift of 1e-8 leaves two steps in 400 off by 70 %, at a cost within 1e-9; daqp and
+  quadprog bear 1e-10, which finds them. ecos and highs bear 1e-8; cvxopt loses one step in eight with that.
 - jaxopt_osqp and qpax compute in single precision, and then find nothing, unless the environment sets JAX_ENABLE_X64=1.
 - osqp's polishing writes to standard output where no row binds, even when told to be quiet, so it stays off.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 ITERATIONS = 20_000  # of first-order solvers; their defaults end before the accuracy asked for
 
@@ -33,9 +33,11 @@ class Abilities:
         semidefinite: solves a stage with variables that have no cost, without help.
         shift: ρ of the proximal point, for those that need it; variables with a cost weigh 1.
         sparse: takes SciPy sparse matrices (and complains about dense ones).
-        warm_start: can use initial values through qpsolvers; every solve here starts cold.
+        warm_start: can start from a point given; native ones do, from the step before, and through qpsolvers none does.
         zooms: see `refinement.zoom_in`.
+        finest: the finest accuracy that it takes; beyond, double precision or its own limits are in the way.
         on_request: runs only when asked for by name.
+        module: what a solver is imported as that is called through its own interface; empty through qpsolvers.
     """
 
     package: str
@@ -45,7 +47,14 @@ class Abilities:
     sparse: bool = False
     warm_start: bool = False
     zooms: tuple[float, ...] = ()
+    finest: float = 1e-12
     on_request: bool = False
+    module: str = ""
+
+    @property
+    def native(self) -> bool:
+        """Whether the solver is called through its own interface."""
+        return bool(self.module)
 
 
 def _eps(accuracy: float) -> Options:
@@ -72,7 +81,7 @@ ABILITIES: dict[str, Abilities] = {
         "daqp",
         lambda a: {"primal_tol": a / 100, "dual_tol": a / 10_000},
         semidefinite=False,
-        shift=1e-8,
+        shift=1e-10,
         zooms=(1e-3,),
     ),
     # A hundred times: ECOS gives up on tighter ones more often than it gains.
@@ -80,6 +89,7 @@ ABILITIES: dict[str, Abilities] = {
         "ecos",
         lambda a: dict.fromkeys(("abstol", "reltol", "feastol"), 100 * a),
         semidefinite=False,
+        shift=1e-8,
         sparse=True,
         zooms=(1e-2, 1e-4, 1e-6),
     ),
@@ -92,8 +102,10 @@ ABILITIES: dict[str, Abilities] = {
             "time_limit": 1.0,
         },
         semidefinite=False,
+        shift=1e-8,
         sparse=True,
         zooms=(1e-3,),
+        finest=1e-8,
     ),
     # A hundredth, for want of zooms: on a zoomed stage OSQP and QPALM run into their iteration limits.
     "osqp": Abilities(
@@ -111,7 +123,7 @@ ABILITIES: dict[str, Abilities] = {
         sparse=True,
         warm_start=True,
     ),
-    "quadprog": Abilities("quadprog", semidefinite=False, shift=1e-8, zooms=(1e-3,)),
+    "quadprog": Abilities("quadprog", semidefinite=False, shift=1e-10, zooms=(1e-3,)),
     "scs": Abilities(
         "scs",
         lambda a: {**_eps(a), "max_iters": ITERATIONS},
@@ -133,6 +145,29 @@ ABILITIES: dict[str, Abilities] = {
 }
 
 
+def _proxqp_warm(accuracy: float) -> Options:
+    """What a start near the end takes: complementarity is checked, penalties are near their final size.
+
+    At its default of 1e-4 such starts also pass for signs of infeasibility.
+    """
+    gap = {"check_duality_gap": True, "eps_duality_gap_abs": accuracy}
+    return {**ABILITIES["proxqp"].options(accuracy), **gap, "default_mu_in": 1e-4, "eps_primal_inf": 1e-8}
+
+
+#: Solvers through their own interfaces, see `native`. What is not stated is as through qpsolvers.
+NATIVE: dict[str, Abilities] = {
+    "daqp-hierarchy": replace(ABILITIES["daqp"], module="daqp", semidefinite=True, zooms=(), on_request=True),
+    # Without a zoom, which costs half as much again: one solve finds the tight rows, and the polish does the rest.
+    "daqp-warm": replace(ABILITIES["daqp"], module="daqp", warm_start=True, zooms=()),
+    "osqp-warm": replace(ABILITIES["osqp"], module="osqp", warm_start=True),
+    "piqp-warm": replace(ABILITIES["piqp"], module="piqp"),
+    "proxqp-sparse-warm": replace(
+        ABILITIES["proxqp"], module="proxsuite", warm_start=True, sparse=True, options=_proxqp_warm
+    ),
+    "proxqp-warm": replace(ABILITIES["proxqp"], module="proxsuite", warm_start=True, options=_proxqp_warm),
+}
+
+
 def abilities_of(name: str) -> Abilities:
     """Return what solver `name` can do; one that the table lacks counts as careful: dense, positive definite only."""
-    return ABILITIES.get(name, Abilities(name, semidefinite=False, on_request=True))
+    return NATIVE.get(name) or ABILITIES.get(name, Abilities(name, semidefinite=False, on_request=True))

@@ -1,8 +1,9 @@
 """What every backend offers: the answer to one stage."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
+from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.validation import Array
 
@@ -22,6 +23,10 @@ class StageResult:
     calls: int = 1
 
 
+class SolverFailedError(Exception):
+    """One call of a solver gave no answer. Backends make a result without x of it."""
+
+
 class Backend(Protocol):
     """A QP solver that can be handed stages."""
 
@@ -38,3 +43,25 @@ class Backend(Protocol):
     def solve(self, stage: Stage) -> StageResult:
         """Return the optimum of `stage`, or a result without x that says what went wrong. Never raises for a failure."""
         ...
+
+
+@runtime_checkable
+class WholeBackend(Protocol):
+    """A solver of hierarchies, which is handed all levels at once."""
+
+    @property
+    def name(self) -> str:
+        """What the registry calls it."""
+        ...
+
+    @property
+    def version(self) -> str:
+        """Version of the solver."""
+        ...
+
+    def solve_whole(self, hierarchy: Hierarchy) -> StageResult:
+        """Return the joint step `(m,)` as x, or a result without x that says what went wrong. Never raises for it."""
+        ...
+
+
+AnyBackend = Backend | WholeBackend

@@ -1,57 +1,92 @@
 """Which backends there are, and how to get one by name."""
 
+import importlib.util
 from collections.abc import Callable
 
 import qpsolvers
 
-from prioritized_ik.errors import SolverUnavailableError
-from prioritized_ik.solvers.backends.abilities import ABILITIES, abilities_of
-from prioritized_ik.solvers.backends.protocol import Backend
+from prioritized_ik.errors import InputError, SolverUnavailableError
+from prioritized_ik.solvers.backends.abilities import ABILITIES, NATIVE, abilities_of
+from prioritized_ik.solvers.backends.native import NativeBackend, Workspace
+from prioritized_ik.solvers.backends.protocol import AnyBackend
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
 from prioritized_ik.validation import fraction
 
 #: Accuracy asked of a solver unless told otherwise, in the stages' scaled variables.
 ACCURACY = 1e-8
 
-_factories: dict[str, Callable[[float], Backend]] = {}
+_factories: dict[str, Callable[[float], AnyBackend]] = {}
 
 
-def register(name: str, factory: Callable[[float], Backend]) -> None:
+def register(name: str, factory: Callable[[float], AnyBackend]) -> None:
     """Add a backend: `factory(accuracy)` makes one. A name can be registered again, and the last one counts."""
     _factories[name] = factory
 
 
 def known_solvers() -> list[str]:
     """Return the names of every solver this package knows, installed or not."""
-    return sorted({*ABILITIES, *qpsolvers.available_solvers, *_factories})
+    return sorted({*ABILITIES, *NATIVE, *qpsolvers.available_solvers, *_factories})
 
 
 def installed_solvers(*, on_request: bool = False) -> list[str]:
     """Return the names of the solvers that can run here; those that run only on request too if `on_request`."""
-    names = sorted({*qpsolvers.available_solvers, *_factories})
+    native = (name for name in NATIVE if _is_installed(name))
+    names = sorted({*qpsolvers.available_solvers, *native, *_factories})
     return [name for name in names if on_request or name in _factories or not abilities_of(name).on_request]
 
 
-def get_backend(name: str, accuracy: float = ACCURACY) -> Backend:
+def get_backend(name: str, accuracy: float = ACCURACY, *, refine: bool = True) -> AnyBackend:
     """Return the backend called `name`.
 
     Args:
         name: one of `known_solvers()`.
-        accuracy: asked of the solver, above 0 and below 1; the table of abilities turns it into its options.
+        accuracy: asked of the solver, below 1 and at least what it reaches; the table of abilities makes its options of it.
+        refine: zoom in on each answer of a solver that needs it to be exact by itself; needless if the step is polished.
 
     Raises:
         SolverUnavailableError: unknown, or not installed (with the command that installs it).
-        InputError: an accuracy out of range.
+        InputError: an accuracy out of range, or finer than the solver reaches.
     """
     fraction("accuracy", accuracy)
     if name in _factories:
         return _factories[name](accuracy)
+    finest = abilities_of(name).finest
+    if accuracy < finest:
+        raise InputError(f"accuracy is {accuracy:g}, finer than {name} reaches; expected at least {finest:g}.")
     if name in qpsolvers.available_solvers:
-        return QpsolversBackend(name, accuracy)
+        return QpsolversBackend(name, accuracy, refine=refine)
+    if name in NATIVE and _is_installed(name):
+        return _native(name, accuracy, refine=refine)
     installed = ", ".join(installed_solvers(on_request=True))
-    if name in ABILITIES:
-        package = ABILITIES[name].package
+    if name in known_solvers():
+        package = abilities_of(name).package
         raise SolverUnavailableError(
             f"solver {name!r} is not installed; install it with: pip install {package} (installed: {installed})."
         )
     raise SolverUnavailableError(f"unknown solver {name!r}; choose one of: {installed}.")
+
+
+def _is_installed(name: str) -> bool:
+    """Whether what native solver `name` imports is there."""
+    return importlib.util.find_spec(NATIVE[name].module) is not None
+
+
+def _native(name: str, accuracy: float, *, refine: bool) -> AnyBackend:
+    """Return native backend `name`. Its module imports its solver, so it waits until now."""
+    workspace: type[Workspace]
+    match name:
+        case "daqp-hierarchy":
+            from prioritized_ik.solvers.backends.daqp_hierarchy_ import DaqpHierarchyBackend
+
+            return DaqpHierarchyBackend(name, accuracy)
+        case "daqp-warm":
+            from prioritized_ik.solvers.backends.daqp_ import DaqpWorkspace as workspace
+        case "osqp-warm":
+            from prioritized_ik.solvers.backends.osqp_ import OsqpWorkspace as workspace
+        case "piqp-warm":
+            from prioritized_ik.solvers.backends.piqp_ import PiqpWorkspace as workspace
+        case "proxqp-sparse-warm":
+            from prioritized_ik.solvers.backends.proxqp_ import SparseProxqpWorkspace as workspace
+        case "proxqp-warm":
+            from prioritized_ik.solvers.backends.proxqp_ import ProxqpWorkspace as workspace
+    return NativeBackend(name, accuracy, workspace, refine=refine)

@@ -1,0 +1,40 @@
+"""PIQP, an interior-point method: it keeps its workspace and the scaling of its data, but takes no starting point.
+
+PIQP calls q c and h h_u, takes matrices by columns, and prints for rows with an infinite side, which stages do not have.
+"""
+
+import numpy as np
+import piqp
+import qpsolvers
+
+from prioritized_ik.solvers.backends.abilities import Options
+from prioritized_ik.solvers.backends.native import Answer, Workspace
+from prioritized_ik.solvers.backends.protocol import SolverFailedError
+from prioritized_ik.validation import Array
+
+
+class PiqpWorkspace(Workspace):
+    """One `piqp.DenseSolver`."""
+
+    def __init__(self, problem: qpsolvers.Problem, options: Options, costed: int, shift: float) -> None:
+        self._sent = problem.G
+        self._solver = piqp.DenseSolver()
+        for name, value in options.items():
+            setattr(self._solver.settings, name, value)
+        rows = None if problem.G is None else np.asfortranarray(problem.G)
+        self._solver.setup(np.asfortranarray(problem.P), problem.q, G=rows, h_u=problem.h)
+
+    def solve(self, problem: qpsolvers.Problem, multipliers: Array | None) -> Answer:
+        """See `Workspace.solve`. There is no way to give it a start."""
+        changed = {"c": problem.q}
+        if problem.h is not None:
+            changed["h_u"] = problem.h
+        if problem.G is not self._sent:
+            changed["G"] = np.asfortranarray(problem.G)
+            self._sent = problem.G
+        self._solver.update(**changed)
+        status = self._solver.solve()
+        if status != piqp.PIQP_SOLVED:
+            raise SolverFailedError(f"found no solution ({status.name})")
+        result = self._solver.result
+        return Answer(np.array(result.x), np.array(result.z_u), result.info.iter)

@@ -1,0 +1,148 @@
+"""Hard rows that contradict each other: which, and by how much.
+
+With every bound, row and equality as a row g dθ <= h of length ‖g‖ = 1 (an equality as two), the least violation that a
+step can do with is that of the linear program
+
+    minimise t over dθ and t >= 0, subject to g dθ - t <= h for every row,
+
+a distance in joint space. If t > 0, the rows with a multiplier λ > 0 there contradict each other by themselves: Σ λ g = 0
+and Σ λ = 1, so every step breaks them by t = -Σ λ h on average (Farkas). Of these, one after the other is dropped while
+the rest still contradict each other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from prioritized_ik.errors import PrioritizedIkError
+from prioritized_ik.problem import IKProblem
+from prioritized_ik.validation import Array
+
+#: [rad] A row that a step keeps to within this is kept: it is far above what a side of 1 rad is rounded to, and far below
+#: what matters to a joint. Of a side beyond 1 rad it is the fraction.
+FEASIBLE = 1e-9
+
+#: HiGHS keeps rows to within 1e-7 of its unit, so a least violation above this many units is right to one in a million.
+RESOLVED = 0.1
+PASSES = 30  # each leaves a tenth of the violation at most, if it does not end it: more than 1e20 to `FEASIBLE`
+PUSHING = 1e-7  # a multiplier above this is positive: together they are 1, and HiGHS is right to 1e-7
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """Hard rows that no step keeps together.
+
+    Attributes:
+        names: of bounds, rows and equalities, so few that a step keeps all but any one of them.
+        excess: by how much the worst of them is broken at best, as a distance in joint space [rad].
+    """
+
+    names: tuple[str, ...]
+    excess: float
+
+    @property
+    def text(self) -> str:
+        """What is wrong and what to do about it."""
+        names = ", ".join(repr(name) for name in self.names)
+        return (
+            f"no step keeps all of {names}: at best one is broken by {self.excess:.3g} rad, as a joint distance. "
+            f"Widen each by that much, drop one, or make them soft with problem.softened({list(self.names)!r})."
+        )
+
+    def __str__(self) -> str:
+        """Return `text`."""
+        return self.text
+
+
+def find_conflict(problem: IKProblem) -> Conflict | None:
+    """Return hard rows of `problem` that contradict each other, or None if a step keeps them all.
+
+    Raises:
+        PrioritizedIkError: HiGHS did not solve a linear program, though all that it is given have a solution.
+    """
+    hard = _hard_rows(problem)
+    violation = _least_violation(hard)
+    if violation is None:
+        return None
+    suspects = hard.only(set(hard.owners[violation.pushing].tolist()))
+    if _least_violation(suspects) is None:  # a multiplier that mattered was too small to tell
+        suspects = hard
+    for owner in dict.fromkeys(suspects.owners.tolist()):
+        rest = suspects.only(set(suspects.owners.tolist()) - {owner})
+        if _least_violation(rest) is not None:
+            suspects = rest
+    violation = _least_violation(suspects) or violation
+    names = (*problem.inequalities.names, *problem.equalities.names)
+    return Conflict(tuple(names[owner] for owner in dict.fromkeys(suspects.owners.tolist())), violation.excess)
+
+
+@dataclass(frozen=True)
+class _HardRows:
+    """Rows of length one, matrix `(n, m)` @ dθ <= sides `(n,)`, and which name each belongs to, `owners` `(n,)`."""
+
+    matrix: Array
+    sides: Array
+    owners: np.ndarray[tuple[int], np.dtype[np.int64]]
+
+    def only(self, owners: set[int]) -> "_HardRows":
+        """Return the rows of these owners."""
+        kept = np.isin(self.owners, sorted(owners))
+        return _HardRows(self.matrix[kept], self.sides[kept], self.owners[kept])
+
+
+def _hard_rows(problem: IKProblem) -> _HardRows:
+    """Return all hard rows but those of zeros, which every step keeps."""
+    rows, equal = problem.inequalities, problem.equalities
+    matrix = np.vstack([rows.matrix, equal.matrix, -equal.matrix])
+    sides = np.concatenate([rows.upper, equal.target, -equal.target])
+    equal_owners = len(rows.upper) + np.arange(len(equal.target))
+    owners = np.concatenate([np.arange(len(rows.upper)), equal_owners, equal_owners])
+    lengths = np.linalg.norm(matrix, axis=1)
+    some = lengths > 0.0
+    return _HardRows(matrix[some] / lengths[some, None], sides[some] / lengths[some], owners[some])
+
+
+@dataclass(frozen=True)
+class _Violation:
+    """The least violation [rad], and which rows `(n,)` no step can do better against."""
+
+    excess: float
+    pushing: np.ndarray[tuple[int], np.dtype[np.bool_]]
+
+
+def _least_violation(hard: _HardRows) -> _Violation | None:
+    """Return the least violation of all rows, or None if a step keeps them.
+
+    The linear program is solved for the way from the best step so far, in units of that step's violation, until what is
+    left of it is a fair part of the unit: HiGHS's tolerances are absolute, and steps can be as short as 1e-4 rad.
+    """
+    dtheta, found = np.zeros(hard.matrix.shape[1]), None
+    for _ in range(PASSES):
+        slack = hard.sides - hard.matrix @ dtheta
+        if (slack >= -FEASIBLE * np.maximum(np.abs(hard.sides), 1.0)).all():
+            return None
+        if found is not None:
+            return found
+        worst = float(-slack.min())
+        way, left, multipliers = _linear_program(hard.matrix, slack / worst)
+        dtheta = dtheta + worst * way
+        if left > RESOLVED:
+            found = _Violation(worst * left, multipliers > PUSHING)
+    return found
+
+
+def _linear_program(matrix: Array, sides: Array) -> tuple[Array, float, Array]:
+    """Return x `(m,)`, t and multipliers `(n,)` of: minimise t >= 0 subject to matrix @ x - t <= sides."""
+    n, m = matrix.shape
+    for method in ("highs-ds", "highs-ipm"):
+        result = scipy.optimize.linprog(
+            c=np.append(np.zeros(m), 1.0),
+            A_ub=np.hstack([matrix, -np.ones((n, 1))]),
+            b_ub=sides,
+            bounds=[(None, None)] * m + [(0.0, None)],
+            method=method,
+        )
+        if result.status == 0:
+            return result.x[:m], float(result.x[m]), -result.ineqlin.marginals
+    raise PrioritizedIkError(f"HiGHS could not tell whether the hard rows contradict each other: {result.message}")

@@ -1,0 +1,97 @@
+"""Which level of a step gave way, by how much, and to what."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
+from prioritized_ik.solvers.certificate import CERTIFIED
+from prioritized_ik.solvers.lexicographic import SolveOptions, solve
+from prioritized_ik.solvers.step import JointStep
+
+
+@dataclass(frozen=True)
+class Concession:
+    """What became of one level; errors are √Q of Eq. (10), in the units of its target.
+
+    Attributes:
+        level: its name.
+        alone: the error it would reach alone.
+        below_others: the error it would reach under the levels above, without bounds and rows.
+        error: the error of the step.
+        held_by: bounds and rows that hold it back.
+        tolerance: errors nearer to each other than this are equal.
+    """
+
+    level: str
+    alone: float
+    below_others: float
+    error: float
+    held_by: tuple[str, ...]
+    tolerance: float
+
+    @property
+    def gave_way(self) -> bool:
+        """Whether the level does worse than it would alone."""
+        return self.error > self.alone + self.tolerance
+
+    def __str__(self) -> str:
+        """Return one line for people."""
+        if not self.gave_way:
+            return f"{self.level}: error {self.error:.3g}, as if it were alone"
+        reasons = []
+        if self.below_others > self.alone + self.tolerance:
+            reasons.append(f"{self.below_others - self.alone:.3g} to the levels above")
+        if abs(self.error - self.below_others) > self.tolerance:
+            reasons.append(f"{self.error - self.below_others:.3g} to {_listed(self.held_by)}")
+        return f"{self.level}: error {self.error:.3g} instead of {self.alone:.3g}; gave way by {' and '.join(reasons)}"
+
+
+NAMED = 5  # rows in a message
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    """Return the first few names, and how many more there are."""
+    if not names:
+        return "rows that the levels above rest on"
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more
+
+
+def explain(problem: IKProblem, step: JointStep, options: SolveOptions | None = None) -> tuple[Concession, ...]:
+    """Return what each level of a step conceded, the most important first.
+
+    Args:
+        problem: what the step solves.
+        step: found by `solve`.
+        options: those it was solved with.
+
+    Raises:
+        InputError: there is no step, or it has no certificate.
+        StepNotFoundError: a problem without some of the levels and rows could not be solved.
+    """
+    if step.dtheta is None or step.certificate is None:
+        raise InputError(f"the step is {step.status.name}; expected one that was found and has a certificate.")
+    options = options or SolveOptions()
+    if options.soften:
+        problem, options = problem.softened(options.soften), replace(options, soften=())
+    return tuple(
+        Concession(
+            level.name,
+            _error(problem, (level,), options),
+            _error(problem, problem.levels[: i + 1], options),
+            float(np.sqrt(level.cost(step.dtheta))),
+            step.certificate.held_by[i],
+            CERTIFIED * float(np.sqrt(level.weights @ level.target**2)),
+        )
+        for i, level in enumerate(problem.levels)
+    )
+
+
+def _error(problem: IKProblem, levels: tuple[Level, ...], options: SolveOptions) -> float:
+    """Return √Q of the last of `levels` where no bounds and rows are."""
+    m = problem.joint_count
+    without_rows = IKProblem(levels, Bounds.none(m), Rows.none(m), problem.reference, problem.equalities)
+    step = solve(without_rows, options=options)
+    return float(np.sqrt(step.costs[-1]))

@@ -1,0 +1,625 @@
+"""The levels' own coordinates: blocks, strict closed form, equalities and pooled rows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import Bench
+from hierarchies import random_hierarchy
+from oracles import norm_error, requests, svd_oracle
+from tolerances import ORACLE, ROUNDING, SABOTAGE
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.problem import STEP_FLOOR, Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.solvers.closed_form import general_solution, rank_decomposition_svd, weighted_optimum
+from prioritized_ik.solvers.hierarchy import (
+    AMPLE,
+    DEPENDENT,
+    HARD,
+    SETTLED_ROW,
+    Hierarchy,
+    Task,
+    strict_solution,
+    whiten,
+)
+from prioritized_ik.weights import FREE
+
+#: The planted problems' singular values are above 3e-3 of the largest, or zero: the cut is no matter of taste.
+CUT = 1e-7
+SEEDS = range(40)
+
+#: Of a level's cost: squares of sums over rows under weights six decades apart, subtracted from each other; measured 4e-13.
+COST = 1e-11
+
+
+def hierarchy_of(seed: int) -> Hierarchy:
+    return Hierarchy(random_hierarchy(seed, joints=(2, 25)).problem, CUT)
+
+
+def tasks_of(hierarchy: Hierarchy) -> list[tuple[Level, Task]]:
+    pairs = zip(hierarchy.problem.levels, hierarchy.tasks, strict=True)
+    return [(level, task) for level, task in pairs if task is not None]
+
+
+def random_level(rng: np.random.Generator, rows: int, joints: int) -> Level:
+    return Level(rng.normal(size=(rows, joints)), rng.normal(size=rows), rng.uniform(0.5, 50.0, rows))
+
+
+def assert_orthonormal(*bases: np.ndarray) -> None:
+    """The columns of all `bases` together are orthonormal."""
+    whole = np.hstack(bases)
+    assert np.abs(whole.T @ whole - np.eye(whole.shape[1])).max(initial=0.0) <= ROUNDING
+
+
+# Blocks.
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_felt_directions_of_all_levels_and_the_rest_are_one_orthonormal_basis_of_what_equalities_leave(seed):
+    hierarchy = hierarchy_of(seed)
+    felt = [task.felt for _, task in tasks_of(hierarchy)]
+    assert_orthonormal(*felt, hierarchy.rest)
+    whole = np.hstack([*felt, hierarchy.rest])
+    assert whole @ whole.T == pytest.approx(hierarchy.free @ hierarchy.free.T, abs=ROUNDING)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_no_level_feels_a_direction_that_belongs_to_one_below(seed):
+    hierarchy = hierarchy_of(seed)
+    for level, task in tasks_of(hierarchy):
+        assert_orthonormal(task.felt, task.below)
+        for rows in (level.matrix, task.matrix):
+            if rows.any():
+                assert np.linalg.norm(rows @ task.below) <= ROUNDING * np.linalg.norm(rows)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_level_has_what_the_one_above_leaves(seed):
+    hierarchy = hierarchy_of(seed)
+    free = hierarchy.free
+    for task in hierarchy.tasks:
+        if task is not None:
+            assert task.free is free
+            assert task.felt.shape[1] + task.below.shape[1] == free.shape[1]
+            free = task.below
+    assert hierarchy.rest is free
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_block_is_triangular_in_its_felt_directions_and_its_inverse_undoes_it(seed):
+    for _, task in tasks_of(hierarchy_of(seed)):
+        size, p = np.linalg.norm(task.matrix), len(task.target)
+        assert np.array_equal(task.root, np.triu(task.root))
+        assert np.abs(task.matrix @ task.felt - task.root).max(initial=0.0) <= ROUNDING * size
+        assert np.abs(task.matrix @ task.inverse - np.eye(p)).max(initial=0.0) <= ROUNDING * conditioning(task)
+        outside = task.inverse - task.felt @ (task.felt.T @ task.inverse)
+        assert np.linalg.norm(outside) <= ROUNDING * np.linalg.norm(task.inverse)
+
+
+def conditioning(task: Task) -> float:
+    """What rounding grows by on the way through R⁻¹: up to 5e4, with weights six decades apart."""
+    return float(np.linalg.cond(task.root)) if task.root.size else 1.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_blocks_inverse_changes_nothing_above_it(seed):
+    hierarchy = hierarchy_of(seed)
+    tasks = [task for _, task in tasks_of(hierarchy)]
+    for i, lower in enumerate(tasks):
+        for upper in tasks[:i]:
+            moved = np.linalg.norm(upper.matrix @ lower.inverse)
+            assert moved <= ROUNDING * np.linalg.norm(upper.matrix) * np.linalg.norm(lower.inverse)
+
+
+def cost_gaps(level: Level, task: Task, seed: int) -> list[float]:
+    """By how much cost and block differ along steps that agree on all that the levels above decide, relatively."""
+    rng = np.random.default_rng(seed)
+    base = rng.normal(size=len(task.free))
+    gaps = []
+    steps = [base + task.free @ rng.normal(size=task.free.shape[1]) for _ in range(5)]
+    costs = [level.cost(step) for step in steps]
+    blocks = [float(np.sum(task.missing(step) ** 2)) for step in steps]
+    for i in range(1, 5):
+        gaps.append(((costs[i] - costs[0]) - (blocks[i] - blocks[0])) / max(*costs, 1e-300))
+    return gaps
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_levels_cost_is_that_of_its_block_but_for_a_constant(seed):
+    for level, task in tasks_of(hierarchy_of(seed)):
+        assert np.abs(cost_gaps(level, task, seed)).max() <= COST
+
+
+def test_a_block_of_other_weights_has_another_cost():
+    rng = np.random.default_rng(3)
+    level = random_level(rng, 4, 6)
+    other = Level(level.matrix, level.target, level.weights * [1.0 + SABOTAGE, 1.0, 1.0, 1.0])
+    (task,) = Hierarchy(IKProblem([level])).tasks
+    assert np.abs(cost_gaps(level, task, 0)).max() <= ROUNDING
+    assert np.abs(cost_gaps(other, task, 0)).max() > 1e3 * ROUNDING
+
+
+def test_what_a_block_misses_is_what_is_left_of_its_target():
+    level = Level([[2.0, 0.0, 0.0], [0.0, 3.0, 0.0]], [4.0, 6.0], [1.0, 9.0])
+    (task,) = Hierarchy(IKProblem([level])).tasks
+    assert np.linalg.norm(task.missing(np.zeros(3))) == pytest.approx(np.hypot(4.0, 18.0), rel=1e-15)
+    assert np.linalg.norm(task.missing(np.array([2.0, 1.0, 7.0]))) == pytest.approx(9.0, rel=1e-15)
+    assert task.missing(np.array([2.0, 2.0, 7.0])) == pytest.approx([0.0, 0.0], abs=ROUNDING)
+    assert task.demand == pytest.approx(np.hypot(4.0, 18.0), rel=1e-15)
+
+
+def test_a_target_out_of_reach_does_not_make_a_block_miss_anything_but_counts_as_demand():
+    level = Level([[1.0, 0.0], [1.0, 0.0]], [1.0, -1.0])
+    (task,) = Hierarchy(IKProblem([level])).tasks
+    assert task.missing(np.zeros(2)) == pytest.approx([0.0], abs=ROUNDING)
+    assert task.demand == pytest.approx(np.sqrt(2.0), rel=1e-15)
+    assert task.size(10.0) >= task.demand
+
+
+def test_a_level_that_the_levels_above_settle_has_an_empty_block():
+    levels = [Level(np.eye(3)[:2], [1.0, 2.0]), Level([[1.0, 1.0, 0.0]], [9.0]), Level(np.zeros((2, 3)), [1.0, 1.0])]
+    _, settled, blind = Hierarchy(IKProblem(levels)).tasks
+    for task in (settled, blind):
+        assert task.felt.shape == (3, 0)
+        assert task.matrix.shape == (0, 3)
+        assert task.missing(np.ones(3)).shape == (0,)
+        assert np.array_equal(task.below @ task.below.T, np.diag([0.0, 0.0, 1.0]))
+
+
+def test_soft_levels_have_no_block_and_take_no_direction():
+    levels = [Level(np.eye(3), np.ones(3), kind="at_most"), Level([[1.0, 0.0, 0.0]], [1.0])]
+    hierarchy = Hierarchy(IKProblem(levels))
+    assert hierarchy.tasks[0] is None
+    assert hierarchy.tasks[1].free.shape == (3, 3)
+    assert hierarchy.rest.shape == (3, 2)
+
+
+def test_inequalities_take_no_part_in_the_cut():
+    level = random_level(np.random.default_rng(0), 2, 4)
+    rows = Rows([[1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0]], [0.0, 0.0])
+    free, bound = Hierarchy(IKProblem([level])), Hierarchy(IKProblem([level], Bounds([-1.0] * 4, [0.0] * 4), rows))
+    for name in ("free", "felt", "root", "inverse", "matrix", "target", "below"):
+        assert np.array_equal(getattr(free.tasks[0], name), getattr(bound.tasks[0], name)), name
+    assert np.array_equal(free.closed_form, bound.closed_form)
+
+
+# Rank.
+
+
+@pytest.mark.parametrize("weights", [[1.0, 1.0], [1e12, 1.0], [1.0, 1e12], [1e-12, 1.0], [1.0, 1e-12]])
+def test_the_rank_of_a_level_is_that_of_its_matrix_whatever_its_weights(weights):
+    for small, rank in ((1e-3, 2), (1e-5, 1)):
+        (task,) = Hierarchy(IKProblem([Level(np.diag([1.0, small]), [1.0, 1.0], weights)]), 1e-4).tasks
+        assert task.felt.shape[1] == rank
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_directions_of_all_levels_are_the_same_whatever_the_weights(seed):
+    rng = np.random.default_rng(seed)
+    levels = [Level(rng.normal(size=(4, 2)) @ rng.normal(size=(2, 8)), rng.normal(size=4)) for _ in range(3)]
+    weighted = [Level(level.matrix, level.target, 10.0 ** rng.uniform(-3.0, 3.0, 4)) for level in levels]
+    for one, other in zip(Hierarchy(IKProblem(levels)).tasks, Hierarchy(IKProblem(weighted)).tasks, strict=True):
+        assert one.felt.shape == (8, 2)
+        assert one.felt @ one.felt.T == pytest.approx(other.felt @ other.felt.T, abs=ROUNDING)
+
+
+def test_a_lower_level_counts_its_rank_against_all_that_its_matrix_can_do():
+    above = Level([[1.0, 0.0]], [1.0])
+    for slope, rank in ((1e-3, 1), (1e-5, 0)):
+        task = Hierarchy(IKProblem([above, Level([[1.0, slope]], [1.0])]), 1e-4).tasks[1]
+        assert task.felt.shape[1] == rank
+
+
+@pytest.mark.parametrize("bad", [0.0, 1.0, np.nan])
+def test_a_rank_tolerance_out_of_range_is_refused(bad):
+    with pytest.raises(InputError, match=f"rank_tolerance is {bad}; expected a number above 0 and below 1"):
+        Hierarchy(IKProblem([Level(np.eye(2), np.ones(2))]), bad)
+
+
+# The closed form.
+
+
+def projected_least_squares(problem: IKProblem) -> np.ndarray:
+    """Equalities and levels in strict order, then the reference, by pseudo-inverses of weighted matrices in projectors."""
+    m = problem.joint_count
+    equalities = problem.equalities
+    scales = np.linalg.norm(equalities.matrix, axis=1)
+    levels = [(equalities.matrix / scales[:, None], equalities.target / scales)]
+    levels += [(np.sqrt(one.weights)[:, None] * one.matrix, np.sqrt(one.weights) * one.target) for one in problem.levels]
+    dtheta, projector = np.zeros(m), np.eye(m)
+    for matrix, target in levels:
+        u, s, vt = np.linalg.svd(matrix @ projector, full_matrices=False)
+        p = np.count_nonzero(s > 1e-8 * np.linalg.norm(matrix, 2)) if matrix.any() else 0
+        dtheta = dtheta + vt[:p].T @ (u[:, :p].T @ (target - matrix @ dtheta) / s[:p])
+        projector = projector - vt[:p].T @ vt[:p]
+    return dtheta + projector @ (problem.reference - dtheta)
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 8])
+def test_the_closed_form_of_any_number_of_levels_is_the_recursion_of_pseudo_inverses(count, seed):
+    rng = np.random.default_rng([seed, count])
+    levels = []
+    for _ in range(count):
+        k, p = int(rng.integers(1, 5)), int(rng.integers(1, 3))
+        matrix = rng.normal(size=(k, p)) @ rng.normal(size=(p, 9))
+        levels.append(Level(matrix, rng.normal(size=k), rng.uniform(0.1, 10.0, k)))
+    equal = Equalities(rng.normal(size=(1, 9)), rng.normal(size=1))
+    problem = IKProblem(levels, reference=rng.normal(size=9), equalities=equal)
+    assert norm_error(Hierarchy(problem, 1e-6).closed_form, projected_least_squares(problem)) <= ORACLE
+
+
+def test_the_recursion_tells_a_target_that_is_off_by_a_thousandth():
+    rng = np.random.default_rng(1)
+    levels = [random_level(rng, 2, 7) for _ in range(3)]
+    problem = IKProblem(levels)
+    off = IKProblem([*levels[:2], Level(levels[2].matrix, (1.0 + SABOTAGE) * levels[2].target, levels[2].weights)])
+    assert norm_error(Hierarchy(problem).closed_form, projected_least_squares(problem)) <= ORACLE
+    assert norm_error(Hierarchy(off).closed_form, projected_least_squares(problem)) > 1e3 * ORACLE
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_closed_form_is_the_planted_optimum_where_no_row_presses(seed):
+    features = {"equalities", "overlap", "conflict", "dependent", "scales"}
+    known = random_hierarchy(seed, features, joints=(3, 40))
+    assert not known.presses
+    assert norm_error(Hierarchy(known.problem, CUT).closed_form, known.dtheta) <= ORACLE
+
+
+@pytest.mark.parametrize("kind", FREE)
+def test_strict_solution_of_one_level_equals_the_weighted_pseudoinverse_in_200_poses(paper_arm: Bench, kind: str) -> None:
+    worst = max(
+        norm_error(strict_solution([Level(j, dx, w)], np.zeros(49)), svd_oracle(j, w, dx))
+        for j, w, dx in requests(paper_arm, kind, 200, seed=51)
+    )
+    assert worst < ORACLE
+
+
+def test_strict_solution_of_one_level_is_eqs_12_and_13(paper_arm: Bench) -> None:
+    jacobian, weights, desired = next(requests(paper_arm, "eq24", 1, seed=61))
+    reference = np.random.default_rng(61).normal(scale=0.1, size=49)
+    factors = rank_decomposition_svd(jacobian)
+    found = strict_solution([Level(jacobian, desired, weights)], reference)
+    truth = general_solution(factors.j_b, weighted_optimum(factors.j_a, weights, desired), reference)
+    assert norm_error(found, truth) < ORACLE
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_strict_solution_of_two_levels_is_the_null_space_formula_of_siciliano_and_slotine(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = random_level(rng, 3, 9), random_level(rng, 4, 9)
+    reference = rng.normal(size=9)
+    up = np.linalg.pinv(first.matrix)
+    dtheta = up @ first.target
+    within = second.matrix @ (np.eye(9) - up @ first.matrix)
+    dtheta = dtheta + np.linalg.pinv(within, rcond=1e-9) @ (second.target - second.matrix @ dtheta)
+    both = np.vstack([first.matrix, second.matrix])
+    truth = dtheta + (np.eye(9) - np.linalg.pinv(both) @ both) @ reference
+    assert norm_error(strict_solution([first, second], reference), truth) < ORACLE
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_strict_solution_when_the_second_level_conflicts_is_the_weighted_null_space_formula(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    first, second = random_level(rng, 4, 6), random_level(rng, 5, 6)
+    up = np.linalg.pinv(first.matrix)
+    dtheta = up @ first.target
+    root = np.sqrt(second.weights)
+    within = root[:, None] * second.matrix @ (np.eye(6) - up @ first.matrix)
+    truth = dtheta + np.linalg.pinv(within, rcond=1e-9) @ (root * (second.target - second.matrix @ dtheta))
+    found = strict_solution([first, second], np.zeros(6))
+    assert norm_error(found, truth) < ORACLE
+    assert norm_error(first.matrix @ found, first.target) < ORACLE
+
+
+def test_strict_solution_in_the_other_order_of_conflicting_levels_is_another_step() -> None:
+    rng = np.random.default_rng(62)
+    first, second = random_level(rng, 4, 6), random_level(rng, 5, 6)
+    one, other = (strict_solution(levels, np.zeros(6)) for levels in ([first, second], [second, first]))
+    assert norm_error(one, other) > SABOTAGE
+
+
+def test_strict_solution_a_second_level_that_contradicts_the_first_changes_nothing() -> None:
+    first = random_level(np.random.default_rng(63), 3, 6)
+    contrary = Level(first.matrix, -first.target)
+    alone = strict_solution([first], np.zeros(6))
+    assert norm_error(strict_solution([first, contrary], np.zeros(6)), alone) < ORACLE
+
+
+def test_strict_solution_ignores_levels_and_reference_once_no_direction_is_free() -> None:
+    rng = np.random.default_rng(64)
+    full = random_level(rng, 6, 6)
+    found = strict_solution([full, random_level(rng, 2, 6)], rng.normal(size=6))
+    assert norm_error(found, np.linalg.solve(full.matrix, full.target)) < ORACLE
+
+
+def test_the_cut_problem_has_the_same_optimum_without_a_rank_tolerance() -> None:
+    rng = np.random.default_rng(65)
+    weak = np.diag([1.0, 1e-5, 0.0, 0.0, 0.0, 0.0])[:2] @ np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    levels = [Level(weak, [1.0, 2.0]), random_level(rng, 3, 6), Level(rng.normal(size=(2, 6)), np.zeros(2), kind="at_most")]
+    problem = IKProblem(levels, Bounds([-9.0] * 6, [9.0] * 6), reference=rng.normal(size=6))
+    hierarchy = Hierarchy(problem, 1e-4)
+    cut = hierarchy.cut_problem
+    assert norm_error(Hierarchy(problem, 1e-9).closed_form, hierarchy.closed_form) > SABOTAGE  # it matters
+    assert norm_error(Hierarchy(cut, 1e-9).closed_form, hierarchy.closed_form) <= ORACLE
+    for level, task in zip(cut.levels, hierarchy.tasks, strict=True):
+        assert task is None or np.abs(level.matrix @ task.below).max() <= ROUNDING
+    assert cut.levels[2] is problem.levels[2]
+    assert cut.bounds is problem.bounds
+    assert np.array_equal(cut.reference, problem.reference)
+
+
+# What a step is likely to measure.
+
+
+def likely_length(level: Level, **parts: object) -> float:
+    return Hierarchy(IKProblem([level], **parts)).length / AMPLE
+
+
+def test_a_step_is_likely_to_measure_what_the_closed_form_does_where_no_row_is_near():
+    assert likely_length(Level([[1.0, 0.0]], [0.3]), reference=[0.0, 0.4]) == pytest.approx(0.5, rel=1e-15)
+
+
+def test_a_step_is_likely_to_measure_what_half_of_the_rows_leave_where_that_is_shorter():
+    level, far = Level([[1.0, 0.0]], [0.3]), {"reference": [0.0, 0.4]}
+    assert likely_length(level, bounds=Bounds([-0.1, -0.2], [0.3, 0.2]), **far) == pytest.approx(0.2, rel=1e-15)
+    # Rows that standing still exceeds, or ends on, leave nothing to measure by.
+    assert likely_length(level, bounds=Bounds([0.0, 0.1], [0.3, 0.2]), **far) == pytest.approx(0.3, rel=1e-15)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-7])
+def test_a_step_never_counts_as_shorter_than_the_floor(size):
+    for parts in ({}, {"bounds": Bounds(np.full(2, -size), np.full(2, size))}):
+        assert likely_length(Level([[1.0, 0.0]], [size]), **parts) == pytest.approx(STEP_FLOOR, rel=1e-15)
+
+
+# Equalities.
+
+
+def with_equalities(matrix: object, target: object, joints: int = 4) -> Hierarchy:
+    return Hierarchy(IKProblem([Level(np.eye(joints)[:1], [0.0])], equalities=Equalities(matrix, target)))
+
+
+def test_without_equalities_everything_is_free_and_the_start_is_standing_still():
+    hierarchy = Hierarchy(IKProblem([Level(np.eye(3), np.ones(3))]))
+    assert np.array_equal(hierarchy.start, np.zeros(3))
+    assert np.array_equal(hierarchy.free, np.eye(3))
+
+
+def test_the_start_is_the_shortest_step_that_keeps_the_equalities():
+    matrix, target = np.random.default_rng(5).normal(size=(2, 6)), np.array([1.0, -2.0])
+    hierarchy = with_equalities(matrix, target, 6)
+    assert hierarchy.start == pytest.approx(np.linalg.pinv(matrix) @ target, abs=ROUNDING)
+    assert np.abs(matrix @ hierarchy.free).max() <= ROUNDING
+    assert_orthonormal(hierarchy.free, np.linalg.qr(matrix.T)[0])
+    assert matrix @ hierarchy.closed_form == pytest.approx(target, abs=ROUNDING)
+
+
+@pytest.mark.parametrize("length", [1e-6, 1.0, 1e6])
+def test_equalities_that_say_the_same_twice_change_nothing(length):
+    matrix = np.random.default_rng(6).normal(size=(2, 5))
+    target = np.array([1.0, -2.0])
+    once = with_equalities(matrix, target, 5)
+    combined = 0.3 * matrix[0] - 0.9 * matrix[1]
+    again = np.vstack([matrix, length * matrix[0], -length * combined])
+    twice = with_equalities(again, np.append(target, [length * 1.0, -length * (0.3 * 1.0 + 0.9 * 2.0)]), 5)
+    assert twice.start == pytest.approx(once.start, abs=ROUNDING)
+    assert twice.free @ twice.free.T == pytest.approx(once.free @ once.free.T, abs=ROUNDING)
+    assert twice.closed_form == pytest.approx(once.closed_form, abs=ROUNDING)
+
+
+def test_equalities_of_any_length_count_alike():
+    matrix, target = np.random.default_rng(7).normal(size=(3, 5)), np.array([1.0, -2.0, 0.5])
+    scales = np.array([1e-8, 1.0, 1e8])
+    one, other = with_equalities(matrix, target, 5), with_equalities(scales[:, None] * matrix, scales * target, 5)
+    assert other.start == pytest.approx(one.start, abs=ROUNDING)
+    assert other.free.shape == (5, 2)
+
+
+def test_equalities_that_contradict_each_other_are_kept_as_far_as_they_can_be():
+    hierarchy = with_equalities([[1.0, 0.0], [1.0, 0.0], [0.0, 2.0]], [1.0, 3.0, 4.0], 2)
+    assert hierarchy.start == pytest.approx([2.0, 2.0], abs=ROUNDING)
+    assert hierarchy.free.shape == (2, 0)
+
+
+def test_equalities_of_zeros_say_nothing():
+    hierarchy = with_equalities([[0.0, 0.0], [0.0, 3.0]], [0.0, 6.0], 2)
+    assert hierarchy.start == pytest.approx([0.0, 2.0], abs=ROUNDING)
+    assert np.abs(hierarchy.free) == pytest.approx(np.array([[1.0], [0.0]]), abs=ROUNDING)
+    assert np.array_equal(with_equalities(np.zeros((1, 2)), [0.0], 2).free, np.eye(2))
+
+
+def test_equalities_that_are_nearly_parallel_are_one_below_rounding_and_two_above():
+    for angle, left in ((10.0 * DEPENDENT, 1), (0.1 * DEPENDENT, 2)):
+        assert with_equalities([[1.0, 0.0, 0.0], [1.0, angle, 0.0]], [1.0, 1.0], 3).free.shape[1] == left
+
+
+# Rows.
+
+
+@pytest.fixture
+def pooled() -> Hierarchy:
+    """Hard rows, one of them all zero, and two soft levels around one of equality."""
+    return Hierarchy(
+        IKProblem(
+            [
+                Level([[0.0, 2.0]], [1.0], [9.0], "speed", "at_most"),
+                Level([[1.0, 1.0]], [1.0]),
+                Level([[0.0, 0.0], [3.0, 4.0]], [1.0, 10.0], [1.0, 0.25], "room", "at_most"),
+            ],
+            Bounds([-1.0, -np.inf], [np.inf, 2.0], ["hip", "knee"]),
+            Rows([[3.0, 4.0], [0.0, 0.0], [0.0, -5.0]], [5.0, 7.0, 1.0], ["contact", "nothing", "floor"]),
+        )
+    )
+
+
+def test_pooled_rows_are_the_hard_ones_and_then_those_of_soft_levels_in_order(pooled):
+    rows = pooled.rows
+    assert rows.names == ("knee upper", "hip lower", "contact", "floor", "speed row 1", "room row 2")
+    assert rows.level.tolist() == [HARD, HARD, HARD, HARD, 0, 2]
+
+
+def test_pooled_rows_have_length_one_so_that_slack_is_a_distance(pooled):
+    rows = pooled.rows
+    assert rows.matrix.tolist() == [[0.0, 1.0], [-1.0, 0.0], [0.6, 0.8], [0.0, -1.0], [0.0, 1.0], [0.6, 0.8]]
+    assert rows.upper.tolist() == [2.0, 1.0, 1.0, 0.2, 0.5, 2.0]
+    assert rows.slack(np.array([1.0, 2.0])) == pytest.approx([0.0, 2.0, -1.2, 2.2, -1.5, -0.2], abs=ROUNDING)
+
+
+def test_strengths_are_the_root_of_the_weight_times_the_length_of_a_row(pooled):
+    assert pooled.rows.strengths[4:].tolist() == [3.0 * 2.0, 0.5 * 5.0]
+
+
+def test_a_soft_levels_cost_is_that_of_its_pooled_rows(pooled):
+    rows = pooled.rows
+    for dtheta in np.random.default_rng(8).normal(scale=5.0, size=(20, 2)):
+        excess = rows.strengths * np.maximum(-rows.slack(dtheta), 0.0)
+        for number in (0, 2):
+            cost = pooled.problem.levels[number].cost(dtheta)  # its row of zeros exceeds nothing
+            assert float(np.sum(excess[rows.level == number] ** 2)) == pytest.approx(cost, rel=ROUNDING)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_pooled_rows_and_what_is_cut_from_them_are_the_rows_themselves(seed):
+    hierarchy = hierarchy_of(seed)
+    problem, rows = hierarchy.problem, hierarchy.rows
+    soft = [level for level in problem.levels if level.is_soft]
+    matrix = np.vstack([problem.inequalities.matrix, *(level.matrix for level in soft)])
+    side = np.concatenate([problem.inequalities.upper, *(level.target for level in soft)])
+    lengths = np.linalg.norm(matrix, axis=1)
+    matrix, side, lengths = matrix[lengths > 0.0], side[lengths > 0.0], lengths[lengths > 0.0]
+    assert (rows.matrix + rows.drift) * lengths[:, None] == pytest.approx(matrix, abs=ROUNDING * max(lengths, default=1.0))
+    assert np.linalg.norm(rows.matrix, axis=1) == pytest.approx(np.ones(len(side)), abs=ROUNDING)
+    assert np.linalg.norm(rows.drift, axis=1).max(initial=0.0) <= SETTLED_ROW
+    dtheta = np.random.default_rng(seed).normal(size=problem.joint_count)
+    assert rows.slack(dtheta) == pytest.approx((side - matrix @ dtheta) / lengths, rel=1e-9, abs=ROUNDING)
+
+
+def nearly_settled(component: float) -> Hierarchy:
+    """A row that moves by `component` in what its first level leaves free."""
+    levels = [Level([[1.0, 0.0, 0.0]], [1.0]), Level([[0.0, 1.0, 0.0]], [1.0])]
+    return Hierarchy(IKProblem(levels, rows=Rows([[1.0, component, 0.0]], [1.0])))
+
+
+def test_a_row_that_the_levels_above_have_nearly_settled_is_cut_to_them():
+    rows = nearly_settled(1e-9).rows
+    assert rows.matrix == pytest.approx(np.array([[1.0, 0.0, 0.0]]), abs=1e-16)
+    assert rows.drift == pytest.approx(np.array([[0.0, 1e-9, 0.0]]), abs=1e-16)
+    assert rows.slack(np.array([0.0, 1.0, 0.0])) == pytest.approx([1.0 - 1e-9], abs=1e-16)
+
+
+def test_a_row_that_the_levels_above_have_not_settled_is_whole():
+    rows = nearly_settled(1e-6).rows
+    assert not rows.drift.any()
+    assert rows.matrix[0, 1] == pytest.approx(1e-6, rel=1e-9)
+
+
+def test_a_row_is_cut_at_every_level_that_has_nearly_settled_it():
+    # At 1e-8 the first level leaves it too little; what it has of the third joint is part of that little.
+    levels = [Level([[1.0, 0.0, 0.0]], [1.0]), Level([[0.0, 1.0, 0.0]], [1.0])]
+    rows = Hierarchy(IKProblem(levels, rows=Rows([[1.0, 1e-3, 1e-9], [1.0, 1e-8, 1e-8]], [1.0, 1.0]))).rows
+    assert rows.drift[0] == pytest.approx([0.0, 0.0, 1e-9], rel=1e-5, abs=1e-16)
+    assert rows.drift[1] == pytest.approx([0.0, 1e-8, 1e-8], rel=1e-5, abs=1e-16)
+
+
+def test_reach_is_how_far_rows_move_in_the_free_directions(pooled):
+    assert pooled.rows.reach(np.array([0, 2]), np.array([[1.0], [0.0]])) == pytest.approx([0.0, 0.6], abs=ROUNDING)
+    assert pooled.rows.reach(np.array([], dtype=int), np.eye(2)).shape == (0,)
+
+
+# Coordinates within some directions.
+
+
+def weighted_change(directions: np.ndarray, root: np.ndarray, dtheta: np.ndarray) -> np.ndarray:
+    return root @ (directions.T @ dtheta)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_in_whitened_coordinates_least_squares_is_a_distance(seed):
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(7, 4))
+    directions[:, 3] = directions[:, 0] + 0.5 * directions[:, 1]  # one that is no news
+    directions /= np.linalg.norm(directions, axis=0)
+    root, free = np.triu(rng.normal(size=(4, 4))) + 3.0 * np.eye(4), np.linalg.qr(rng.normal(size=(7, 5)))[0]
+    found = whiten(directions, root, free)
+    assert found.felt.shape == (7, 3)
+    assert_orthonormal(found.q)
+    assert_orthonormal(found.unfelt)
+    assert np.abs(directions.T @ found.unfelt).max() <= ROUNDING
+    for basis in (found.felt, found.unfelt):  # of what is free
+        assert np.linalg.norm(basis - free @ (free.T @ basis)) <= ROUNDING * np.linalg.norm(basis)
+    # What the rows see of y is q y: so ½‖root directionsᵀ felt y - e‖² is ½‖y - qᵀe‖² and a constant.
+    assert weighted_change(directions, root, found.felt) == pytest.approx(found.q, abs=ROUNDING)
+    lacking = rng.normal(size=4)
+    best = np.linalg.lstsq(weighted_change(directions, root, found.felt), lacking, rcond=None)[0]
+    assert found.project(lacking) == pytest.approx(best, abs=ROUNDING)
+
+
+def test_rows_that_feel_nothing_of_what_is_free_have_no_coordinates():
+    free = np.eye(3)[:, 1:]
+    for directions in (np.zeros((3, 0)), np.eye(3)[:, :1]):
+        found = whiten(directions, np.eye(directions.shape[1]), free)
+        assert found.felt.shape == (3, 0)
+        assert found.unfelt @ found.unfelt.T == pytest.approx(free @ free.T, abs=ROUNDING)
+        assert found.project(np.ones(directions.shape[1])).shape == (0,)
+    nothing = whiten(np.eye(3), np.eye(3), np.zeros((3, 0)))
+    assert (nothing.felt.shape, nothing.unfelt.shape) == ((3, 0), (3, 0))
+
+
+def test_directions_that_differ_by_less_than_the_angle_given_count_as_one():
+    for angle, rank in ((1e-8, 2), (1e-10, 1)):
+        directions = np.array([[1.0, 1.0], [0.0, angle]])
+        assert whiten(directions, np.eye(2), np.eye(2)).felt.shape[1] == rank
+        assert whiten(directions, np.eye(2), np.eye(2), dependent=1e-6).felt.shape[1] == 1
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_block_within_fewer_directions_is_that_of_the_same_cost(seed):
+    rng = np.random.default_rng(seed)
+    for _, task in tasks_of(hierarchy_of(seed)):
+        f = task.free.shape[1]
+        if f < 2:
+            continue
+        free = task.free @ np.linalg.qr(rng.normal(size=(f, f - 1)))[0]
+        found = task.within(free)
+        assert found.felt.shape[1] + found.unfelt.shape[1] == f - 1
+        assert np.linalg.norm(task.matrix @ found.unfelt) <= ROUNDING * np.linalg.norm(task.matrix)
+        if found.felt.shape[1]:
+            moved = task.matrix @ found.felt
+            assert moved.T @ moved == pytest.approx(np.eye(found.felt.shape[1]), abs=ROUNDING * conditioning(task))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_within_all_that_it_has_a_block_is_itself(seed):
+    for _, task in tasks_of(hierarchy_of(seed)):
+        own, copy = task.within(task.free), task.within(task.free.copy())
+        assert own.felt is task.inverse
+        assert own.unfelt is task.below
+        assert copy.unfelt @ copy.unfelt.T == pytest.approx(task.below @ task.below.T, abs=ROUNDING)
+        size = np.linalg.norm(task.inverse) ** 2
+        assert copy.felt @ copy.felt.T == pytest.approx(own.felt @ own.felt.T, abs=ROUNDING * size)
+
+
+# Sabotage.
+
+
+@pytest.mark.parametrize("part", ["felt", "root", "inverse", "matrix", "below"])
+def test_a_block_that_is_wrong_by_a_thousandth_in_any_part_is_found_out(part):
+    rng = np.random.default_rng(9)
+    hierarchy = Hierarchy(IKProblem([random_level(rng, 3, 6), random_level(rng, 2, 6)]))
+    level, task = tasks_of(hierarchy)[1]
+    right = getattr(task, part)
+    wrong = replace(task, **{part: right + SABOTAGE * rng.normal(size=right.shape) * np.abs(right).max()})
+
+    def errors(task: Task) -> tuple[float, ...]:
+        whole = np.hstack([task.felt, task.below])
+        return (
+            np.abs(whole.T @ whole - np.eye(whole.shape[1])).max(),
+            np.abs(task.matrix @ task.felt - task.root).max(),
+            np.abs(task.matrix @ task.inverse - np.eye(2)).max(),
+            np.abs(task.matrix @ task.below).max(),
+            np.abs(cost_gaps(level, task, 0)).max(),
+        )
+
+    assert max(errors(task)) <= ROUNDING * conditioning(task) * np.linalg.norm(task.matrix)
+    assert max(errors(wrong)) > 1e-2 * SABOTAGE
