@@ -23,7 +23,9 @@ OTHERS = WindingSettings(
 )
 
 
-@pytest.mark.parametrize("settings", [WindingSettings(), OTHERS], ids=["default", "others"])
+@pytest.mark.parametrize(
+    "settings", [WindingSettings(), OTHERS, WindingSettings(weights="strict")], ids=["default", "others", "strict"]
+)
 def test_settings_survive_json(settings):
     assert WindingSettings.from_json(settings.to_json()) == settings
 
@@ -53,7 +55,7 @@ def test_a_value_out_of_range_in_json_is_refused():
 BAD = {
     "direction": ({"direction": "left"}, "unknown direction 'left'; choose one of: up, down, front, back"),
     "posture": ({"posture": "curled"}, "unknown posture 'curled'"),
-    "weights": ({"weights": "eq25"}, "unknown weights 'eq25'"),
+    "weights": ({"weights": "eq25"}, "unknown weights 'eq25'; choose one of: eq23, eq24, strict"),
     "shape": ({"shape": "torus"}, "unknown shape 'torus'"),
     "size": ({"size": (0.07,)}, "size of a cylinder"),
     "link 0": ({"link": 0}, "link is 0"),

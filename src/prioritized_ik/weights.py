@@ -1,7 +1,7 @@
-"""Priorities as weights (Eqs. 11, 23, 24)."""
+"""Priorities as weights (Eqs. 11, 23, 24), or as strict levels in their place."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.validation import Array, at_least, finite_array, one_of
@@ -9,6 +9,9 @@ from prioritized_ik.validation import Array, at_least, finite_array, one_of
 WOUND = 200.0  # arms 1 … k, whose links hold the object
 NEXT = 20.0  # arm k + 1, which is to make contact next
 FREE = {"eq23": 0.01, "eq24": 1.0}  # arms k + 2 … n
+
+STRICT = "strict"  # the same three groups of arms as levels in strict order, and all weights 1
+KINDS = (*FREE, STRICT)
 
 
 def diagonal_of_weights(arm_weights: ArrayLike, dimension: int) -> Array:
@@ -29,17 +32,45 @@ def diagonal_of_weights(arm_weights: ArrayLike, dimension: int) -> Array:
 
 
 def winding_weights(last_in_contact: int, links: int, kind: str = "eq23") -> Array:
-    """Return one weight an arm `(n,)`: Eq. (23) or, for `kind="eq24"`, Eq. (24).
+    """Return one weight an arm `(n,)`: Eq. (23), for `kind="eq24"` Eq. (24), for `kind="strict"` ones.
 
     Args:
         last_in_contact: k, the last of the links in successive contact, from 1; 0 where no link is.
         links: number of links n.
-        kind: a key of `FREE`.
+        kind: one of `KINDS`.
     """
+    groups = _groups(last_in_contact, links)
+    if one_of("weights", kind, KINDS) == STRICT:
+        return np.ones(len(groups))
+    return np.array([WOUND, NEXT, FREE[kind]])[groups]
+
+
+def winding_priorities(last_in_contact: int, links: int, kind: str = STRICT) -> NDArray[np.int64]:
+    """Return the number of each arm's level `(n,)`, from 0, the most important; no number is left out.
+
+    For `kind="strict"` the arms that Eqs. (23) and (24) weigh alike share a level: arms 1 … k, then k + 1, then the rest.
+    For the other kinds every arm is in level 0, and the weights alone decide.
+
+    Unlike a weight, a level never gives way to those below. Where only moving wound arms could bring the next one closer,
+    as when the last link's one hinge axis lies in the plane of an exactly planar winding, the arm waits for ever.
+
+    Args:
+        last_in_contact: see `winding_weights`.
+        links: number of links n.
+        kind: one of `KINDS`.
+    """
+    groups = _groups(last_in_contact, links)
+    if one_of("weights", kind, KINDS) != STRICT:
+        return np.zeros_like(groups)
+    return np.unique(groups, return_inverse=True)[1]
+
+
+def _groups(last_in_contact: int, links: int) -> NDArray[np.int64]:
+    """Return 0 for arms 1 … k, 1 for arm k + 1, 2 for the rest `(n,)`."""
     k, n = at_least("last_in_contact", last_in_contact, 0), at_least("links", links, 1)
     if k > n:
         raise InputError(f"last_in_contact is {k}; expected at most the number of links, {n}.")
-    weights = np.full(n, FREE[one_of("weights", kind, FREE)])
-    weights[: k + 1] = NEXT
-    weights[:k] = WOUND
-    return weights
+    groups = np.full(n, 2)
+    groups[: k + 1] = 1
+    groups[:k] = 0
+    return groups

@@ -13,9 +13,11 @@ from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.touch import Touch, TouchSensor, update_contact
 from prioritized_ik.validation import Array
 from prioritized_ik.virtual_arms import VirtualArms
-from prioritized_ik.weights import diagonal_of_weights, winding_weights
+from prioritized_ik.weights import diagonal_of_weights, winding_priorities, winding_weights
 from prioritized_ik.winding.plan import driven_arms, first_and_last_in_contact, plan
 from prioritized_ik.winding.settings import WindingSettings
+
+AXES = 3  # rows of one virtual arm: x, y, z
 
 
 class Equilibrium(Enum):
@@ -95,12 +97,12 @@ class WindingController:
     def problem(self, q: Array, situation: Situation) -> IKProblem:
         """Return the problem of the step from `q`, where `situation` was observed last."""
         settings = self.settings
-        weights = winding_weights(situation.last, settings.arm.links, settings.weights)
-        level = Level(
+        k, n, kind = situation.last, settings.arm.links, settings.weights
+        levels = levels_of(
             self.arms.jacobian(self.data),
             situation.desired.ravel(),
-            diagonal_of_weights(weights, self.arms.dimension),
-            "virtual arms",
+            diagonal_of_weights(winding_weights(k, n, kind), AXES),
+            np.repeat(winding_priorities(k, n, kind), AXES),
         )
         bounds, rows = None, None
         if settings.limits:
@@ -113,4 +115,22 @@ class WindingController:
                 min_distance=settings.min_distance,
                 gain=settings.contact_gain,
             )
-        return IKProblem((level,), bounds, rows)
+        return IKProblem(levels, bounds, rows)
+
+
+def levels_of(jacobian: Array, desired: Array, weights: Array, priorities: NDArray[np.int64]) -> tuple[Level, ...]:
+    """Return the levels of all virtual arms' stacked rows, those of the lowest number first.
+
+    Args:
+        jacobian: J `(L, m)`.
+        desired: dX_v* `(L,)` [m].
+        weights: diagonal of W `(L,)`.
+        priorities: the number of each row's level `(L,)`.
+    """
+    levels = []
+    for number in np.unique(priorities):
+        rows = np.flatnonzero(priorities == number)
+        first, last = rows[0] // AXES + 1, rows[-1] // AXES + 1
+        name = f"virtual arm {first}" if first == last else f"virtual arms {first} to {last}"
+        levels.append(Level(jacobian[rows], desired[rows], weights[rows], name))
+    return tuple(levels)

@@ -19,15 +19,14 @@ from prioritized_ik.errors import EpisodeFileError, InputError
 from prioritized_ik.files import write_whole
 from prioritized_ik.limits import contact_row_name
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
-from prioritized_ik.solvers.backends.registry import get_backend
-from prioritized_ik.solvers.closed_form import strict_solution
-from prioritized_ik.solvers.lexicographic import joint_step
+from prioritized_ik.solvers.hierarchy import strict_solution
+from prioritized_ik.solvers.lexicographic import backend_for, joint_step
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.validation import Array, read_only
-from prioritized_ik.winding.controller import Equilibrium, WindingController
+from prioritized_ik.winding.controller import Equilibrium, WindingController, levels_of
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
-FORMAT = "prioritized-ik episode 1"
+FORMAT = "prioritized-ik episode 2"
 
 #: What NumPy and zipfile raise on files that are no episodes, or damaged ones.
 _UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error)
@@ -62,6 +61,7 @@ class Episode:
         desired: dX_v* `(T, L)` [m].
         jacobian: J `(T, L, m)`.
         weights: diagonal of W `(T, L)`.
+        priorities: the number of each row's level `(T, L)`, from 0, the most important; levels are whole runs of rows.
         lower, upper: bounds on dθ `(T, m)` [rad], infinite where there is none.
         row_matrix: contact rows by link `(T, n, m)`.
         row_upper: their right sides `(T, n)` [m], infinite where a link has no row.
@@ -83,6 +83,7 @@ class Episode:
     desired: Array
     jacobian: Array
     weights: Array
+    priorities: NDArray[np.int64]
     lower: Array
     upper: Array
     row_matrix: Array
@@ -105,14 +106,14 @@ class Episode:
         """
         if not 0 <= step < self.steps:
             raise InputError(f"step is {step}; expected 0 to {self.steps - 1}.")
-        level = Level(self.jacobian[step], self.desired[step], self.weights[step], "virtual arms")
+        levels = levels_of(self.jacobian[step], self.desired[step], self.weights[step], self.priorities[step])
         links = np.flatnonzero(np.isfinite(self.row_upper[step]))
         rows = Rows(
             self.row_matrix[step, links],
             self.row_upper[step, links],
             tuple(contact_row_name(int(link) + 1) for link in links),
         )
-        return IKProblem((level,), Bounds(self.lower[step], self.upper[step], self._joint_names), rows)
+        return IKProblem(levels, Bounds(self.lower[step], self.upper[step], self._joint_names), rows)
 
     def problems(self, steps: Iterator[int] | range | None = None) -> Iterator[IKProblem]:
         """Yield the problems of `steps`, of all unless given."""
@@ -155,7 +156,7 @@ class Episode:
             settings = WindingSettings.from_json(str(content["settings"]))
             arrays = {name: read_only(content[name]) for name in _ARRAYS}
             episode = Episode(settings, Outcome[str(content["outcome"])], str(content["message"]), **arrays)
-            episode._check_shapes()
+            episode._check()
         except _UNREADABLE as error:
             raise EpisodeFileError(
                 f"cannot read an episode from {str(path)!r} ({error}); expected a file that `wind --save` wrote, whole."
@@ -167,18 +168,21 @@ class Episode:
         arm = self.settings.arm
         return tuple(f"joint_{link}{axis}" for link in arm.link_numbers for axis in arm.hinge_axes(link))
 
-    def _check_shapes(self) -> None:
+    def _check(self) -> None:
         t, n, m = self.steps, self.settings.arm.links, self.settings.arm.joint_count
         expected = {
             "q": (t + 1, m), "positions": (t + 1, n, 3), "directions": (t + 1, n, 3), "distance": (t + 1, n),
             "in_contact": (t + 1, n), "contact_vectors": (t + 1, n, 3), "signs": (t + 1, n),
             "desired": (t, 3 * n), "jacobian": (t, 3 * n, m), "weights": (t, 3 * n),
-            "lower": (t, m), "upper": (t, m), "row_matrix": (t, n, m), "row_upper": (t, n),
+            "priorities": (t, 3 * n), "lower": (t, m), "upper": (t, m), "row_matrix": (t, n, m), "row_upper": (t, n),
             "dtheta": (t, m), "status": (t,), "solve_seconds": (t,), "build_seconds": (t,),
         }  # fmt: skip
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
+        rises = np.diff(self.priorities, axis=1)
+        if self.priorities.dtype.kind != "i" or self.priorities[:, 0].any() or not np.isin(rises, (0, 1)).all():
+            raise ValueError("priorities are not whole numbers that start at 0 and rise by 1 from level to level")
 
 
 _ARRAYS = [item.name for item in fields(Episode) if item.name not in ("settings", "outcome", "message")]
@@ -247,7 +251,7 @@ def replay(episode: Episode) -> Episode:
 def _solve_of(settings: WindingSettings) -> Solve:
     if settings.solver == CLOSED_FORM:
         return lambda problem, _: _closed_form_step(problem, settings.options.rank_tolerance)
-    backend = get_backend(settings.solver, settings.options.accuracy)
+    backend = backend_for(settings.solver, settings.options)
     return lambda problem, _: joint_step(problem, backend, settings.options)
 
 
@@ -257,16 +261,17 @@ def _closed_form_step(problem: IKProblem, rank_tolerance: float) -> JointStep:
 
 
 def _record(problem: IKProblem, step: JointStep, links: int) -> dict[str, Any]:
-    level, m = problem.levels[0], problem.joint_count
+    levels, m = problem.levels, problem.joint_count
     matrix, upper = np.zeros((links, m)), np.full(links, np.inf)
     place = {contact_row_name(link + 1): link for link in range(links)}
     for name, row, side in zip(problem.rows.names, problem.rows.matrix, problem.rows.upper, strict=True):
         link = place[name]
         matrix[link], upper[link] = row, side
     return {
-        "desired": level.target,
-        "jacobian": level.matrix,
-        "weights": level.weights,
+        "desired": np.concatenate([level.target for level in levels]),
+        "jacobian": np.vstack([level.matrix for level in levels]),
+        "weights": np.concatenate([level.weights for level in levels]),
+        "priorities": np.repeat(np.arange(len(levels)), [len(level.target) for level in levels]),
         "lower": problem.bounds.lower,
         "upper": problem.bounds.upper,
         "row_matrix": matrix,

@@ -18,7 +18,7 @@ from prioritized_ik.models import (
 )
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.validation import Array, at_least, non_negative, one_of, positive
-from prioritized_ik.weights import FREE
+from prioritized_ik.weights import KINDS
 from prioritized_ik.winding.plan import DEAD_BAND
 
 CLOSED_FORM = "closed-form"  # the "solver" that is Eqs. (12) to (14) alone: no limits, no contact rows
@@ -38,7 +38,7 @@ class WindingSettings:
         gap: distance between object and link at the start [m] (not stated).
         posture: initial posture (not stated).
         seed: of a random posture.
-        weights: `"eq23"` or `"eq24"`.
+        weights: `"eq23"`, `"eq24"`, or `"strict"`: levels in place of weights.
         speed: η = 2 [m/s].
         dt: time step [s] (not stated).
         dead_band: of Eq. (21), see `plan.DEAD_BAND`.
@@ -82,7 +82,7 @@ class WindingSettings:
     def __post_init__(self) -> None:
         one_of("direction", self.direction, DIRECTIONS)
         one_of("posture", self.posture, POSTURES)
-        one_of("weights", self.weights, FREE)
+        one_of("weights", self.weights, KINDS)
         if at_least("link", self.link, 1) >= self.arm.links:
             raise InputError(f"link is {self.link}; expected 1 to {self.arm.links - 1}, so that a link is left to wind.")
         for name in ("speed", "dt", "contact_distance", "release_distance", "max_step"):
