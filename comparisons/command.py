@@ -20,11 +20,13 @@ def solvers() -> None:
     from prioritized_ik.solvers.backends.abilities import abilities_of
     from prioritized_ik.solvers.backends.registry import get_backend, installed_solvers, known_solvers
 
-    table = Table("solver", "version", "semidefinite", "sparse", "warm start", "refinement", "how to get it", box=None)
+    columns = ("native", "semidefinite", "sparse", "warm start", "refinement", "how to get it")
+    table = Table("solver", "version", *columns, box=None)
     installed = installed_solvers(on_request=True)
     for name in known_solvers():
         abilities = abilities_of(name)
-        flags = ["yes" if flag else "–" for flag in (abilities.semidefinite, abilities.sparse, abilities.warm_start)]
+        able = (abilities.native, abilities.semidefinite, abilities.sparse, abilities.warm_start)
+        flags = ["yes" if flag else "–" for flag in able]
         refinement = [] if abilities.semidefinite else ["proximal point"]
         refinement += [f"zoom {' '.join(f'{zoom:g}' for zoom in abilities.zooms)}"] if abilities.zooms else []
         version = get_backend(name).version if name in installed else "–"
@@ -45,6 +47,9 @@ def solvers() -> None:
 @click.option("--rank-tolerance", default=1e-4, help="Shared by all: singular values below this fraction count as zero.")
 @click.option("--damping", default=1e-12, help="Of the damped formulation.")
 @click.option("--closed-form-first/--no-closed-form-first", default=False, help="Skip the QP where no row binds.")
+@click.option(
+    "--witness/--no-witness", default=False, help="Also solve the recorded steps by the problem written in CVXPY."
+)
 @click.option("--workers", type=int, help="Processes.  [default: one a core]")
 @click.option("--out", type=click.Path(file_okay=False), help="Folder for Parquet, Markdown and the recorded episodes.")
 @click.option("--json", "json_file", type=click.Path(dir_okay=False), help="File for what the table shows, as JSON.")
@@ -61,6 +66,7 @@ def compare(
     rank_tolerance: float,
     damping: float,
     closed_form_first: bool,
+    witness: bool,
     workers: int | None,
     out: str | None,
     json_file: str | None,
@@ -88,6 +94,7 @@ def compare(
         rank_tolerance=rank_tolerance,
         damping=damping,
         closed_form_first=closed_form_first,
+        witness=witness,
         workers=workers if workers is not None else os.cpu_count() or 1,
     )
     if json_file is not None:

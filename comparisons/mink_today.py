@@ -11,8 +11,9 @@ import mink
 import mujoco
 import numpy as np
 
-from prioritized_ik.problem import STEP_FLOOR, IKProblem
+from prioritized_ik.problem import IKProblem, step_scale
 from prioritized_ik.solvers.backends.qpsolvers_ import SOLVER_ERRORS
+from prioritized_ik.solvers.certificate import certify
 from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.validation import Array
@@ -25,6 +26,7 @@ class MinkSolver:
     def __init__(self, settings: WindingSettings, solver: str) -> None:
         self._solver = solver
         self._dt = settings.dt
+        self._rank_tolerance = settings.options.rank_tolerance
         arm = settings.arm
         model = settings.model()
         self._configuration = mink.Configuration(model)
@@ -58,16 +60,18 @@ class MinkSolver:
         timings = self._since(started)
         if not np.isfinite(dtheta).all():
             return JointStep(None, StepStatus.NOT_FOUND, "mink: values that are not finite", timings=timings)
-        violation = problem.relative_violation(dtheta)
-        kept = violation <= ACCEPTED_VIOLATION
+        certificate = certify(problem, dtheta, self._rank_tolerance)
+        kept = certificate.violation <= ACCEPTED_VIOLATION
+        status = StepStatus.SOLVED if certificate.holds else StepStatus.UNCERTIFIED
         return JointStep(
             dtheta if kept else None,
-            StepStatus.SOLVED if kept else StepStatus.VIOLATED,
+            status if kept else StepStatus.VIOLATED,
             costs=(level.cost(dtheta),),
-            tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * max(float(np.linalg.norm(dtheta)), STEP_FLOOR)),
-            violation=violation,
+            tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * step_scale(dtheta)),
+            violation=certificate.violation,
             timings=timings,
             calls=1,
+            certificate=certificate,
         )
 
     def _task(self, end: str, dx: Array, cost: Array) -> mink.FrameTask:

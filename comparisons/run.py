@@ -6,6 +6,7 @@
 import functools
 import multiprocessing
 import os
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
@@ -17,15 +18,16 @@ import threadpoolctl
 
 from comparisons.mink_today import MinkSolver
 from comparisons.settings import MINK_SOLVERS, RECORDER, ComparisonSettings
+from prioritized_ik.errors import WitnessError
 from prioritized_ik.problem import IKProblem, Level
+from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.registry import get_backend
-from prioritized_ik.solvers.closed_form import (
-    level_decomposition,
-    resulting_displacement,
-    strict_solution,
-)
+from prioritized_ik.solvers.certificate import certify
+from prioritized_ik.solvers.closed_form import level_decomposition, resulting_displacement
+from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION, FREE, joint_step
-from prioritized_ik.solvers.step import JointStep
+from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
+from prioritized_ik.solvers.witness import witness_step
 from prioritized_ik.validation import Array
 from prioritized_ik.winding.episode import Episode, Solve, wind
 from prioritized_ik.winding.metrics import measure
@@ -37,8 +39,12 @@ Progress = Callable[[str, int, int], None]  # what is done, how many are, of how
 #: Solver names of mink's rows.
 MINK_ROWS = {f"mink ({solver})": solver for solver in MINK_SOLVERS}
 
+#: The witness's row: the problem written out in CVXPY, with the solver that it calls.
+WITNESS_SOLVER = "CLARABEL"
+WITNESS = f"cvxpy ({WITNESS_SOLVER.lower()})"
+
 #: These take longest, so they start first.
-_SLOW = ("ecos", "clarabel", "scs", "highs", "cvxopt")
+_SLOW = (WITNESS, "ecos", "clarabel", "scs", "highs", "cvxopt")
 
 
 @dataclass(frozen=True)
@@ -93,8 +99,11 @@ def jobs(settings: ComparisonSettings) -> list[Job]:
         Job("replay", solver, formulation, settings.directions)
         for solver in settings.solvers
         for formulation in settings.formulations
+        if formulation != "damped" or not abilities_of(solver).native  # a start helps nothing in a QP solved once
     ]
     todo += [Job("replay", name, "mink", settings.directions) for name in MINK_ROWS]
+    if settings.witness:
+        todo.append(Job("replay", WITNESS, "witness", settings.directions))
     drivers = [(solver, "lexicographic") for solver in settings.solvers if "lexicographic" in settings.formulations]
     drivers += [(CLOSED_FORM, "closed form"), *((name, "mink") for name in MINK_ROWS)]
     todo += [Job("drive", name, formulation, (d,)) for name, formulation in drivers for d in settings.directions]
@@ -142,9 +151,25 @@ def _names(job: Job) -> Record:
 def _solver(settings: ComparisonSettings, job: Job, direction: str) -> Solve:
     if job.solver in MINK_ROWS:
         return MinkSolver(settings.winding(direction, RECORDER), MINK_ROWS[job.solver])
-    backend = get_backend(job.solver, settings.accuracy)
+    if job.solver == WITNESS:
+        return functools.partial(_witness, settings.rank_tolerance)
+    # A driven step is polished; of a replayed one the solver's own answer is judged too, which its refinement is part of.
+    backend = get_backend(job.solver, settings.accuracy, refine=job.kind == "replay")
     options = settings.options(job.formulation)
     return lambda problem, _: joint_step(problem, backend, options)
+
+
+def _witness(rank_tolerance: float, problem: IKProblem, q: Array) -> JointStep:
+    del q
+    started = time.perf_counter()
+    try:
+        dtheta = witness_step(Hierarchy(problem, rank_tolerance).cut_problem, WITNESS_SOLVER)
+    except WitnessError as error:
+        return JointStep(None, StepStatus.NOT_FOUND, str(error))
+    timings = Timings(build=0.0, solve=time.perf_counter() - started)
+    certificate = certify(problem, dtheta, rank_tolerance)
+    status = StepStatus.SOLVED if certificate.holds else StepStatus.UNCERTIFIED
+    return JointStep(dtheta, status, violation=certificate.violation, timings=timings, certificate=certificate)
 
 
 @dataclass(frozen=True)
@@ -174,12 +199,13 @@ def _sample(path: Path, steps: int, rank_tolerance: float) -> list[_Sampled]:
 def _sampled(episode: Episode, step: int, rank_tolerance: float) -> _Sampled:
     problem = episode.problem(step)
     level = problem.levels[0]
-    dtheta = strict_solution(problem.levels, problem.reference, rank_tolerance)
-    factors = level_decomposition(level, np.eye(problem.joint_count), rank_tolerance)
+    hierarchy = Hierarchy(problem, rank_tolerance)
+    dtheta = hierarchy.closed_form
+    factors, _ = level_decomposition(level, np.eye(problem.joint_count), rank_tolerance)
     return _Sampled(
         step,
         problem,
-        Level(factors.j_a @ factors.j_b, level.target, level.weights),
+        hierarchy.cut_problem.levels[0],
         episode.q[step],
         dtheta,
         resulting_displacement(factors.j_a, level.weights, level.target),
@@ -195,29 +221,42 @@ def _spread(items: list[_Sampled], count: int) -> list[_Sampled]:
 
 
 def _judge(item: _Sampled, step: JointStep) -> Record:
-    """Return the figures of one step, every one computed from the problem and none taken from the solver."""
+    """Return the figures of one step, every one computed from the problem and none taken from the solver.
+
+    What is judged is the solver's own answer, before the polish; the certified step has columns of its own.
+    """
     level = item.level
+    own = step.raw if step.raw is not None else step.dtheta
+    certificate = step.certificate
     record: Record = {
         "free": item.free,
         "status": step.status.name,
         "message": step.message,
         "found": step.found,
         "solve_s": step.timings.build + step.timings.solve,
+        "polish_s": step.timings.polish,
         "violation": None,
         "cost": None,
         "cost_at_zero": level.cost(np.zeros_like(item.dtheta)),
-        "dtheta": None if step.dtheta is None else step.dtheta.tolist(),
+        "dtheta": None,
         "dtheta_error": None,
         "dx_error": None,
+        "certified": certificate is not None and certificate.holds,
+        "certificate": None if certificate is None else certificate.worst,
+        "certified_dtheta": None,
+        "repairs": step.repairs,
     }
-    if step.dtheta is None:
+    if step.dtheta is None or own is None:
         record["violation"] = step.violation if step.violation > ACCEPTED_VIOLATION else None
         return record
-    record["violation"] = item.problem.relative_violation(step.dtheta)
-    record["cost"] = level.cost(step.dtheta)
+    record["dtheta"] = own.tolist()
+    record["violation"] = item.problem.relative_violation(own)
+    record["cost"] = level.cost(own)
+    if record["certified"]:
+        record["certified_dtheta"] = step.dtheta.tolist()
     if item.free:
-        record["dtheta_error"] = _relative(step.dtheta, item.dtheta)
-        record["dx_error"] = _relative(level.matrix @ step.dtheta, item.dx)
+        record["dtheta_error"] = _relative(own, item.dtheta)
+        record["dx_error"] = _relative(level.matrix @ own, item.dx)
     return record
 
 

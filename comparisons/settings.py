@@ -32,6 +32,7 @@ class ComparisonSettings:
         damping: of the damped formulation.
         closed_form_first: let a closed-form step that meets every row be the answer. Off, so that solvers are compared.
         workers: processes.
+        witness: also solve the recorded steps by the problem written out in CVXPY.
     """
 
     solvers: tuple[str, ...] = ()
@@ -45,6 +46,7 @@ class ComparisonSettings:
     damping: float = 1e-12
     closed_form_first: bool = False
     workers: int = 1
+    witness: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "solvers", self.solvers or tuple(installed_solvers()))

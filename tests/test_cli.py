@@ -34,7 +34,7 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert all(command in done.stdout for command in ("compare", "solvers", "wind"))
+    assert all(command in done.stdout for command in ("compare", "demo", "solvers", "wind"))
 
 
 def test_solvers_lists_what_is_installed_and_how_to_install_the_rest() -> None:
@@ -50,6 +50,17 @@ def test_wind_saves_an_episode_that_loads(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert "equilibrium [1]" in result.output
     assert Episode.load(file).settings.direction == "back"
+
+
+def test_wind_with_strict_weights_winds_and_says_so_in_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "episode.npz"
+    places = ("--save", str(file), "--record", str(tmp_path / "end.png"))
+    result = call("wind", "--link", "14", "--tilt", "0.3", "--weights", "strict", *places)
+    assert result.exit_code == 0, result.output
+    assert "equilibrium [1]" in result.output
+    episode = Episode.load(file)
+    assert episode.settings.weights == "strict"
+    assert len(episode.problem(0).levels) == 3
 
 
 @pytest.mark.parametrize("kind", [".png", ".gif"])
@@ -81,7 +92,8 @@ def test_wind_ends_with_one_when_the_arm_is_not_wound() -> None:
         (["wind", "--diameter", "nan"], "diameter is nan"),
         (["wind", "--links", "0"], "links is 0; expected a whole number of at least 1"),
         (["wind", "--link", "18"], "link is 18; expected 1 to 16"),
-        (["wind", "--weights", "eq25"], "unknown weights 'eq25'"),
+        (["wind", "--weights", "eq25"], "unknown weights 'eq25'; choose one of: eq23, eq24, strict"),
+        (["wind", "--weights", "strict", "--formulation", "damped"], "takes one level, not 3; use 'lexicographic'"),
         (["wind", "--shape", "torus"], "unknown shape 'torus'"),
         (["wind", "--formulation", "magic"], "unknown formulation 'magic'"),
         (["wind", "--save", "/no/such/folder/e.npz"], "cannot write into '/no/such/folder'"),
@@ -180,7 +192,8 @@ def test_strict_ends_with_one_when_a_row_disagrees(monkeypatch: pytest.MonkeyPat
     step = {
         "direction": "up", "step": 0, "free": True, "found": True, "violation": 0.0, "cost": 1.0, "cost_at_zero": 2.0,
         "dtheta": [0.0, 1.0],
-        "dtheta_error": 1e-3, "dx_error": 1e-9, "solve_s": 1e-3, "solver": "daqp", "formulation": "lexicographic",
+        "dtheta_error": 1e-3, "dx_error": 1e-9, "solve_s": 1e-3, "polish_s": 1e-3, "status": "SOLVED", "certified": True,
+        "certified_dtheta": [0.0, 1.0], "solver": "daqp", "formulation": "lexicographic",
     }  # fmt: skip
     monkeypatch.setattr("comparisons.run.run", lambda *_: ([step], []))
     result = call("compare", "--solvers", "daqp", "--strict")
