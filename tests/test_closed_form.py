@@ -21,7 +21,6 @@ from prioritized_ik.solvers.closed_form import (
     general_solution,
     level_decomposition,
     minimum_norm_solution,
-    null_space,
     overconstrained_solution,
     rank_decomposition_qr,
     rank_decomposition_svd,
@@ -418,12 +417,3 @@ def test_a_request_costs_the_inverse_of_the_distance_to_a_singular_pose_unless_t
         truncated = eqs_12_and_14(rank_decomposition_svd(jacobian, 0.01), np.ones(51), desired)
         assert np.linalg.norm(truncated) < ORACLE
     assert costs[1] / costs[0] == pytest.approx(10.0, rel=0.2)
-
-
-def test_null_space_is_orthonormal_and_not_felt() -> None:
-    j_b = np.random.default_rng(65).normal(size=(3, 7))
-    basis = null_space(j_b)
-    assert basis.shape == (7, 4)
-    assert np.abs(j_b @ basis).max() < ROUNDING
-    assert np.abs(basis.T @ basis - np.eye(4)).max() < ROUNDING
-    assert np.array_equal(null_space(np.zeros((0, 3))), np.eye(3))

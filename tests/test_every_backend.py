@@ -399,3 +399,11 @@ def test_a_damped_qp_that_fails_is_not_tried_again(monkeypatch):
     monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", Answers(None, found=False))
     stage = first_stage(constrained_steps()[0], SolveOptions("damped"))
     assert QpsolversBackend("proxqp", 1e-8).solve(stage).calls == 1
+
+
+@pytest.mark.parametrize(("name", "accuracy"), [("highs", 1e-9), ("clarabel", 1e-13), ("daqp-warm", 1e-15)])
+def test_an_accuracy_that_a_solver_does_not_reach_is_refused(name, accuracy):
+    with pytest.raises(InputError, match=f"accuracy is {accuracy:g}, finer than {name} reaches; expected at least"):
+        get_backend(name, accuracy)
+    with pytest.raises(InputError, match="finer than"):
+        solve(IKProblem([Level(np.eye(2), [1.0, 2.0])]), name, SolveOptions(accuracy=accuracy))

@@ -26,7 +26,12 @@ class StepNotFoundError(PrioritizedIkError):
 
 
 class InfeasibleError(StepNotFoundError):
-    """No step keeps all hard rows. The message names the rows in conflict, and `step.conflict` holds them."""
+    """No step keeps all hard rows. The message names the rows in conflict, and `conflict` holds them."""
+
+    @property
+    def conflict(self) -> object:
+        """The rows, and by how much they contradict each other."""
+        return getattr(self.step, "conflict", None)
 
 
 class EpisodeFileError(PrioritizedIkError):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.validation import Array, finite_array, one_of, read_only, shaped_array
+from prioritized_ik.validation import Array, finite_array, length, one_of, read_only, shaped_array
 
 #: `equal` is least squares of A dθ = b; `at_most` of what A dθ <= b leaves violated.
 KINDS = ("equal", "at_most")
@@ -302,7 +302,7 @@ class IKProblem:
 
 def step_scale(dtheta: Array) -> float:
     """Return what relative figures of a step count against: ‖dθ‖ [rad], at least `STEP_FLOOR`."""
-    return max(float(np.linalg.norm(dtheta)), STEP_FLOOR)
+    return max(length(dtheta), STEP_FLOOR)
 
 
 def _kept(names: tuple[str, ...], kept: NDArray[np.bool_]) -> tuple[str, ...]:

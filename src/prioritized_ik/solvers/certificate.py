@@ -22,7 +22,7 @@ from prioritized_ik.problem import IKProblem, step_scale
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.cones import directions_left, nonnegative_least_squares
 from prioritized_ik.solvers.hierarchy import HARD, SETTLED_ROW, Hierarchy, Whitened
-from prioritized_ik.validation import Array, finite_array, fraction
+from prioritized_ik.validation import Array, finite_array, fraction, length, lengths
 
 #: A certificate holds if every figure of it, relative to the step, is at most this.
 CERTIFIED = 1e-8
@@ -75,7 +75,7 @@ class LevelProof:
     @cached_property
     def excess(self) -> float:
         """Length of the displacement [rad]."""
-        return float(np.linalg.norm(self.displacement))
+        return length(self.displacement)
 
 
 @dataclass(frozen=True)
@@ -167,27 +167,27 @@ class Proof:
 
     def _prove(self) -> Iterator[LevelProof]:
         hierarchy, rows, free, dtheta = self._hierarchy, self._hierarchy.rows, self._hierarchy.free, self._dtheta
-        length = float(np.linalg.norm(dtheta))
+        size_of_step = length(dtheta)
         tight = np.flatnonzero(self.tight & (rows.level == HARD))
         free = directions_left(free, rows.matrix[tight], NARROW)
         for number, (level, task) in enumerate(zip(hierarchy.problem.levels, hierarchy.tasks, strict=True)):
             if task is not None:
                 felt = task.within(free)
                 yield self._proof(
-                    level.name, felt, -felt.project(task.missing(dtheta)), task.size(length), 0.0, free, tight
+                    level.name, felt, -felt.project(task.missing(dtheta)), task.size(size_of_step), 0.0, free, tight
                 )
             else:
                 own = self.exceeded & (rows.level == number)
                 felt = rows.within(own, free)
                 excess = -rows.strengths[own] * self.slack[own]
-                size = float(np.linalg.norm(rows.strengths[own] * (np.abs(rows.upper[own]) + length)))
+                size = float(np.linalg.norm(rows.strengths[own] * (np.abs(rows.upper[own]) + size_of_step)))
                 leak = (1 + number) * float(np.linalg.norm(rows.strengths[own] * excess))
                 yield self._proof(level.name, felt, felt.project(excess), size, leak, free, tight)
                 tight = np.concatenate([tight, np.flatnonzero(self.tight & (rows.level == number))])
             free = directions_left(felt.unfelt, rows.matrix[tight], NARROW)
         self.free = free
         last, reference = Whitened(free, free[:, :0], None), hierarchy.problem.reference
-        size = length + float(np.linalg.norm(reference))
+        size = size_of_step + length(reference)
         yield self._proof("last level", last, free.T @ (dtheta - reference), size, 0.0, free, tight)
 
     def _proof(
@@ -205,7 +205,7 @@ class Proof:
             tight: numbers of the rows that may hold it back.
         """
         rows = self._hierarchy.rows
-        felt_lengths = np.linalg.norm(felt.felt, axis=0)
+        felt_lengths = lengths(felt.felt.T)
         unfelt_lengths = np.full(felt.unfelt.shape[1], min(felt_lengths, default=1.0) / UNFELT)
         basis = np.hstack([felt.felt, felt.unfelt * unfelt_lengths])
         gradient = np.concatenate([lacking, np.zeros_like(unfelt_lengths)])
@@ -213,8 +213,8 @@ class Proof:
         terms = np.concatenate([felt_terms, size / UNFELT + leak * unfelt_lengths])
         tight = tight[rows.reach(tight, free) > SETTLED_ROW]
         cone = rows.matrix[tight] @ basis
-        lengths = np.linalg.norm(cone, axis=1)
-        normals = cone / lengths[:, None]
+        sizes = lengths(cone)
+        normals = cone / sizes[:, None]
         combination = np.zeros(len(tight))
         if len(tight) and lacking.any():
             combination, _ = nonnegative_least_squares(normals.T, -gradient)
@@ -223,5 +223,5 @@ class Proof:
         explained = float(np.linalg.norm(np.concatenate([felt_lengths, unfelt_lengths]) * rounding))
         beyond = np.sign(rest) * np.maximum(np.abs(rest) - rounding, 0.0)
         multipliers = np.zeros(len(rows.upper))
-        multipliers[tight] = np.where(combination > NOTHING * (size + combination.sum()), combination / lengths, 0.0)
+        multipliers[tight] = np.where(combination > NOTHING * (size + combination.sum()), combination / sizes, 0.0)
         return LevelProof(name, -(basis @ beyond), explained, multipliers, gradient, tight, normals)

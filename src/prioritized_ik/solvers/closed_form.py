@@ -155,15 +155,6 @@ def level_decomposition(level: Level, free: Array, rank_tolerance: float) -> tup
     return RankDecomposition(matrix @ vt[:p].T, vt[:p]), vt[p:].T
 
 
-def null_space(j_b: Array) -> Array:
-    """Return an orthonormal basis `(m, m - p)` of the directions that J_b `(p, m)`, of full row rank, does not feel."""
-    p, m = j_b.shape
-    if p == 0:
-        return np.eye(m)
-    q, _ = np.linalg.qr(j_b.T, mode="complete")
-    return q[:, p:]
-
-
 def _require(case: TaskCase, jacobian: Array, rank_tolerance: float, equation: str) -> None:
     found = task_case(jacobian, rank_tolerance)
     square_full = jacobian.shape[0] == jacobian.shape[1] and found is TaskCase.REDUNDANT

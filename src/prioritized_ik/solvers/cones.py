@@ -4,7 +4,7 @@ import numpy as np
 import scipy.optimize
 
 from prioritized_ik.solvers.hierarchy import SETTLED_ROW
-from prioritized_ik.validation import Array
+from prioritized_ik.validation import Array, lengths
 
 
 def nonnegative_least_squares(matrix: Array, target: Array) -> tuple[Array, float]:
@@ -30,7 +30,7 @@ def directions_left(free: Array, tight: Array, narrow: float) -> Array:
     """
     while len(tight) and free.shape[1]:
         cone = tight @ free
-        norms = np.linalg.norm(cone, axis=1)
+        norms = lengths(cone)
         moving = norms > SETTLED_ROW
         if not moving.any():
             return free

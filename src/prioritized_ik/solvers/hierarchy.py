@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from prioritized_ik.problem import STEP_FLOOR, IKProblem, Level, step_scale
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, level_decomposition
-from prioritized_ik.validation import Array
+from prioritized_ik.validation import Array, lengths
 
 #: A row that moves by less than this fraction of its length along every direction left is settled by the levels above:
 #: to divide it by its norm would turn rounding into a constraint.
@@ -70,7 +70,16 @@ def _divided(columns: Array, triangle: Array) -> Array:
     """Return `columns` times the inverse of an upper `triangle`."""
     if not columns.shape[1]:
         return columns
-    return scipy.linalg.solve_triangular(triangle, columns.T, trans="T", check_finite=False).T
+    return scipy.linalg.lapack.dtrtrs(triangle, columns.T, trans=1)[0].T
+
+
+def _pivoted_qr(matrix: Array) -> tuple[Array, Array, NDArray[np.int_]]:
+    """Return Q `(k, p)`, R `(p, p)` and the order of the columns of `matrix` `(k, p)`, k >= p; LAPACK without wrapping."""
+    p = matrix.shape[1]
+    if p == 0:
+        return matrix, np.zeros((0, 0)), np.zeros(0, dtype=int)
+    packed, order, scales, _, _ = scipy.linalg.lapack.dgeqp3(matrix)
+    return scipy.linalg.lapack.dorgqr(packed, scales)[0], np.triu(packed[:p]), order - 1
 
 
 @dataclass(frozen=True)
@@ -140,7 +149,9 @@ class PooledRows:
 
     def reach(self, numbers: NDArray[np.int_], free: Array) -> Array:
         """Return how far rows move along the `free` directions at most, by number, as a fraction of their length."""
-        return np.linalg.norm(self.matrix[numbers] @ free, axis=1)
+        if free.shape[1] == len(free):  # every direction
+            return np.ones(len(numbers))
+        return lengths(self.matrix[numbers] @ free)
 
     def within(self, chosen: NDArray[np.bool_], free: Array) -> Whitened:
         """Return what the `chosen` rows feel within `free`."""
@@ -189,25 +200,25 @@ class Hierarchy:
                 numbers.append(np.full(len(level.target), number))
                 roots.append(np.sqrt(level.weights))
         matrix = np.vstack(matrices)
-        lengths = np.linalg.norm(matrix, axis=1)
-        real = lengths > 0.0
-        lengths = lengths[real]
-        unit = matrix[real] / lengths[:, None]
+        sizes = lengths(matrix)
+        real = sizes > 0.0
+        sizes = sizes[real]
+        unit = matrix[real] / sizes[:, None]
         drift = np.zeros_like(unit)
         for task in self.tasks:
             if task is not None:
                 moved = unit @ task.below
-                settled = np.linalg.norm(moved, axis=1) <= SETTLED_ROW
+                settled = lengths(moved) <= SETTLED_ROW
                 if settled.any():
                     drift[settled] += moved[settled] @ task.below.T
                     unit[settled] -= moved[settled] @ task.below.T
         return PooledRows(
             unit,
             drift,
-            np.concatenate(uppers)[real] / lengths,
+            np.concatenate(uppers)[real] / sizes,
             np.concatenate(numbers)[real],
-            np.concatenate(roots)[real] * lengths,
-            tuple(name for name, kept in zip(names, real, strict=True) if kept),
+            np.concatenate(roots)[real] * sizes,
+            tuple(names) if real.all() else tuple(name for name, kept in zip(names, real, strict=True) if kept),
         )
 
     @cached_property
@@ -255,7 +266,7 @@ def _without(matrix: Array, directions: Array) -> Array:
 def _task(level: Level, free: Array, rank_tolerance: float) -> Task:
     factors, unfelt = level_decomposition(level, free, rank_tolerance)
     weights = np.sqrt(level.weights)
-    q, root, order = scipy.linalg.qr(weights[:, None] * factors.j_a, mode="economic", pivoting=True, check_finite=False)
+    q, root, order = _pivoted_qr(weights[:, None] * factors.j_a)
     felt = free @ factors.j_b[order].T
     whitening = q.T * weights  # Qᵀ W^½
     matrix = root @ felt.T

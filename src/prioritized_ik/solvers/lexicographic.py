@@ -8,10 +8,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import cast
 
 from prioritized_ik.errors import InfeasibleError, InputError, StepNotFoundError
 from prioritized_ik.problem import IKProblem, Level, step_scale
-from prioritized_ik.solvers.backends.protocol import Backend, StageResult, WholeBackend
+from prioritized_ik.solvers.backends.protocol import AnyBackend, Backend, StageResult, WholeBackend
 from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend
 from prioritized_ik.solvers.certificate import Proof
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
@@ -33,8 +34,6 @@ FREE = 1e-12
 
 TIGHT = 1e-7  # [rad] a row this close to binding is tight: ten times what a solver at accuracy 1e-8 leaves open
 NARROW = 1e-5  # tight rows that leave a wedge narrower than this leave no room: solvers fail on narrower ones
-
-AnyBackend = Backend | WholeBackend
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ def joint_step(problem: IKProblem, backend: AnyBackend, options: SolveOptions) -
         timings = clock.timings()
     step = _finished(hierarchy, answer, options)
     wanting = step.status in (StepStatus.UNCERTIFIED, StepStatus.NOT_FOUND)
-    if wanting and options.polish and not isinstance(backend, WholeBackend):
+    if wanting and options.polish and not _takes_all_levels(backend):
         # An error of an upper level can have sent those below astray: once more, with every level made exact in turn.
         again = _finished(hierarchy, _fold(hierarchy, backend, clock, exact=True), options)
         step = again if again.found else step
@@ -155,6 +154,11 @@ class _Clock:
         return Timings(time.perf_counter() - self._started - self.seconds, self.seconds)
 
 
+def _takes_all_levels(backend: AnyBackend) -> bool:
+    """Whether this is a `WholeBackend`; asking by `isinstance` would take longer than a stage."""
+    return hasattr(backend, "solve_whole")
+
+
 def _meets_every_row(hierarchy: Hierarchy) -> bool:
     """Whether the closed form keeps every hard and soft row, and so is the optimum of every level."""
     dtheta = hierarchy.closed_form
@@ -164,13 +168,14 @@ def _meets_every_row(hierarchy: Hierarchy) -> bool:
 
 def _fold(hierarchy: Hierarchy, backend: AnyBackend, clock: _Clock, *, exact: bool) -> Array | str:
     """Return the solver's dθ `(m,)`, each level's answer polished if `exact`, or why there is none."""
-    if isinstance(backend, WholeBackend):
-        result = clock.timed(partial(backend.solve_whole, hierarchy))
+    if _takes_all_levels(backend):
+        result = clock.timed(partial(cast(WholeBackend, backend).solve_whole, hierarchy))
         return result.message if result.x is None else result.x
+    solver = cast(Backend, backend)
     room = Room.whole(hierarchy)
     for level in hierarchy.problem.levels:
         stage = level_stage(room)
-        result = clock.timed(partial(backend.solve, stage))
+        result = clock.timed(partial(solver.solve, stage))
         if result.x is None:
             return f"level {level.name!r}: {result.message}"
         dtheta = stage.dtheta(result.x)
@@ -180,20 +185,20 @@ def _fold(hierarchy: Hierarchy, backend: AnyBackend, clock: _Clock, *, exact: bo
         else:
             left = room.after(dtheta, stage.unfelt)
             free = directions_left(left.free, left.rows[left.slack <= TIGHT], NARROW)
-        room = room.after(dtheta, free)
+        room = room.after(dtheta, free) if exact or free is not left.free else left
         if not free.shape[1]:
             return dtheta
     stage = reference_stage(room)
-    result = clock.timed(partial(backend.solve, stage))
+    result = clock.timed(partial(solver.solve, stage))
     return f"last level: {result.message}" if result.x is None else stage.dtheta(result.x)
 
 
 def _damped(problem: IKProblem, backend: AnyBackend, clock: _Clock, options: SolveOptions) -> Array | str:
     """Return dθ `(m,)` of the damped QP, or why there is none."""
-    if isinstance(backend, WholeBackend):
+    if _takes_all_levels(backend):
         raise InputError(f"{backend.name} solves whole hierarchies; the damped formulation needs a solver of single QPs.")
     stage = damped_stage(problem, _only_level(problem), options.damping)
-    result = clock.timed(partial(backend.solve, stage))
+    result = clock.timed(partial(cast(Backend, backend).solve, stage))
     return result.message if result.x is None else stage.dtheta(result.x)
 
 

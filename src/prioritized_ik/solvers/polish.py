@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from prioritized_ik.problem import step_scale
 from prioritized_ik.solvers.certificate import CERTIFIED, Proof
 from prioritized_ik.solvers.hierarchy import DEPENDENT, HARD, SETTLED_ROW, Hierarchy, Whitened
-from prioritized_ik.validation import Array
+from prioritized_ik.validation import Array, lengths
 
 REPAIRS = 60  # of the guessed face, before the polish gives up
 GUESS = 1e-6  # a row nearer than this to the solver's answer, relative to the step, is guessed to be tight
+DRIFT = 1e-14  # what a row moves by directions too weak to count, relative to the step, that is rounding
 KEPT = 1e-10  # a row exceeded by less than this, relative to the step, is kept: rounding
 
 
@@ -63,7 +64,8 @@ def face_solution(hierarchy: Hierarchy, active: NDArray[np.bool_]) -> Array:
     """
     dtheta = _face_solution(hierarchy, active, hierarchy.start)
     # What a row gets from directions too weak to count is taken from the first solution.
-    return _face_solution(hierarchy, active, dtheta) if hierarchy.rows.drift[active].any() else dtheta
+    drifted = np.abs(hierarchy.rows.drift[active] @ (dtheta - hierarchy.start)).max(initial=0.0)
+    return _face_solution(hierarchy, active, dtheta) if drifted > DRIFT * step_scale(dtheta) else dtheta
 
 
 def _face_solution(hierarchy: Hierarchy, active: NDArray[np.bool_], drifted: Array) -> Array:
@@ -108,12 +110,12 @@ def _held(free: Array, felt: Whitened, wanted: Array, to_hold: Array, gaps: Arra
         combinations, triangle, _ = scipy.linalg.qr(below, pivoting=True, check_finite=False)
         k = int(np.count_nonzero(np.abs(np.diag(triangle)) > SETTLED_ROW))
     mine = combinations[:, k:].T
-    mine = mine[np.linalg.norm(mine @ (to_hold @ free), axis=1) > DEPENDENT]  # the rest copies other rows
+    mine = mine[lengths(mine @ (to_hold @ free)) > DEPENDENT]  # the rest copies other rows
     if not len(mine):
         return wanted, combinations[:, :k]
     normals = mine @ (to_hold @ felt.felt)
-    lengths = np.linalg.norm(normals, axis=1)
-    normals, sides = normals / lengths[:, None], mine @ gaps / lengths
+    sizes = lengths(normals)
+    normals, sides = normals / sizes[:, None], mine @ gaps / sizes
     inverse = np.linalg.pinv(normals, rcond=DEPENDENT)
     move = wanted + inverse @ (sides - normals @ wanted)
     # Once more: the first time leaves the rounding of `wanted`, which can be large against the move.

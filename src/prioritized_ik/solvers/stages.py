@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.hierarchy import HARD, SETTLED_ROW, Hierarchy, Task
-from prioritized_ik.validation import Array
+from prioritized_ik.validation import Array, lengths
 
 #: In the last stage the optimum is within 2 units of x = 0, which is feasible; slacks beyond this can be cut to it
 #: without changing the optimum, and interior-point solvers start far off if they are not.
@@ -143,7 +143,7 @@ def _soft_stage(level: Level, room: Room) -> Stage:
     matrix = rows.matrix[np.concatenate([room.row_ids, own])] @ basis
     matrix[len(room.row_ids) :, :k] = -np.diag(unit / strengths)
     upper = np.concatenate([room.slack, slack + excess / strengths])
-    norms = np.linalg.norm(matrix, axis=1)
+    norms = lengths(matrix)
     hessian = np.diag(np.repeat([1.0, 0.0], [k, f]))
     linear = np.concatenate([excess / unit, np.zeros(f)])
     qp = qpsolvers.Problem(hessian, linear, matrix / norms[:, None], upper / norms)
@@ -175,6 +175,6 @@ def _scaled_stage(room: Room, felt: Array, unfelt: Array, target: Array, unit: f
     if not len(room.row_ids):
         return Stage(qpsolvers.Problem(hessian, linear), room.origin, basis, unfelt, room.place, room.row_ids)
     rows = room.rows @ basis
-    norms = np.linalg.norm(rows, axis=1)
+    norms = lengths(rows)
     qp = qpsolvers.Problem(hessian, linear, rows / norms[:, None], np.minimum(room.slack / norms, far))
     return Stage(qp, room.origin, basis, unfelt, room.place, room.row_ids)
