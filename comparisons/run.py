@@ -153,8 +153,9 @@ def _solver(settings: ComparisonSettings, job: Job, direction: str) -> Solve:
         return MinkSolver(settings.winding(direction, RECORDER), MINK_ROWS[job.solver])
     if job.solver == WITNESS:
         return functools.partial(_witness, settings.rank_tolerance)
-    # A driven step is polished; of a replayed one the solver's own answer is judged too, which its refinement is part of.
-    backend = get_backend(job.solver, settings.accuracy, refine=job.kind == "replay")
+    # Of a replayed step the solver's own answer is judged, which its refinement is part of; a driven one is polished in any
+    # case, so that slow solvers go without.
+    backend = get_backend(job.solver, settings.accuracy, refine=job.kind == "replay" or job.solver not in _SLOW)
     options = settings.options(job.formulation)
     return lambda problem, _: joint_step(problem, backend, options)
 

@@ -90,8 +90,8 @@ def solve(problem: IKProblem, solver: str | AnyBackend = "daqp", options: SolveO
 
 
 def backend_for(solver: str, options: SolveOptions) -> AnyBackend:
-    """Return the backend of a solver, refined by itself only where no polish follows. Raises as `get_backend` does."""
-    return get_backend(solver, options.accuracy, refine=not options.polish)
+    """Return the backend of a solver. Raises as `get_backend` does."""
+    return get_backend(solver, options.accuracy)
 
 
 def joint_step(problem: IKProblem, backend: AnyBackend, options: SolveOptions) -> JointStep:
@@ -112,7 +112,7 @@ def joint_step(problem: IKProblem, backend: AnyBackend, options: SolveOptions) -
         answer = _fold(hierarchy, backend, clock, exact=False)
         timings = clock.timings()
     step = _finished(hierarchy, answer, options)
-    wanting = step.status in (StepStatus.UNCERTIFIED, StepStatus.NOT_FOUND)
+    wanting = step.status in (StepStatus.UNCERTIFIED, StepStatus.NOT_FOUND, StepStatus.VIOLATED)
     if wanting and options.polish and not _takes_all_levels(backend):
         # An error of an upper level can have sent those below astray: once more, with every level made exact in turn.
         again = _finished(hierarchy, _fold(hierarchy, backend, clock, exact=True), options)
