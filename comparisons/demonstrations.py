@@ -157,13 +157,9 @@ def _write(json_file: str | None, case: dict[str, Any], rows: list[Any], solver_
     """Write `versions`, `cpu`, `case` and `rows` to `json_file`, if there is one."""
     if json_file is None:
         return
-    import importlib.metadata
-    import platform
     from dataclasses import asdict
 
-    from comparisons.results import PACKAGES, cpu_model, write_json
+    from comparisons.results import cpu_model, versions, write_json
 
-    versions = {"python": platform.python_version()}
-    versions |= {package: importlib.metadata.version(package) for package in PACKAGES} | solver_versions
-    cpu = {"model": cpu_model(), "blas_threads": 1}
-    write_json(Path(json_file), {"versions": versions, "cpu": cpu, "case": case, "rows": [asdict(row) for row in rows]})
+    content = {"versions": versions(solver_versions), "cpu": {"model": cpu_model(), "blas_threads": 1}, "case": case}
+    write_json(Path(json_file), {**content, "rows": [asdict(row) for row in rows]})

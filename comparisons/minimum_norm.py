@@ -54,7 +54,7 @@ class Row:
         joint_range: whether the joint range is kept, mink's default; it binds nowhere.
         solver, version: the backend.
         mink: by `mink.solve_ik` with its default damping and the solver's default options.
-        ours: by `prioritized_ik.solve`, with the same task, rows and solver, the solver's own answer.
+        ours: by `prioritized_ik.solve`, with the same task, rows and solver, through the QP.
     """
 
     task: str

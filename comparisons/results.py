@@ -24,15 +24,18 @@ PACKAGES = ("prioritized-ik", "mujoco", "mink", "qpsolvers", "numpy", "scipy")
 
 def facts(settings: ComparisonSettings, rows: list[Row]) -> dict[str, Any]:
     """Return `versions`, `cpu`, `settings` and `rows`: what the JSON file holds."""
-    versions = {"python": platform.python_version()}
-    versions |= {package: importlib.metadata.version(package) for package in PACKAGES}
-    versions |= {row.solver: row.version for row in rows if row.formulation == "lexicographic"}
     return {
-        "versions": versions,
+        "versions": versions({row.solver: row.version for row in rows if row.formulation == "lexicographic"}),
         "cpu": {"model": cpu_model(), "cores": os.cpu_count(), "workers": settings.workers, "blas_threads": 1},
         "settings": asdict(settings),
         "rows": [asdict(row) for row in rows],
     }
+
+
+def versions(of_solvers: dict[str, str]) -> dict[str, str]:
+    """Return the versions of Python, the packages that decide on figures, and solvers."""
+    packages = {package: importlib.metadata.version(package) for package in PACKAGES}
+    return {"python": platform.python_version(), **packages, **of_solvers}
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

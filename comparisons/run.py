@@ -242,7 +242,7 @@ def _judge(item: _Sampled, step: JointStep) -> Record:
         "dtheta": None,
         "dtheta_error": None,
         "dx_error": None,
-        "certified": certificate is not None and certificate.holds,
+        "certified": step.status in (StepStatus.CLOSED_FORM, StepStatus.SOLVED),
         "certificate": None if certificate is None else certificate.worst,
         "certified_dtheta": None,
         "repairs": step.repairs,

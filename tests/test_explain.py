@@ -110,7 +110,9 @@ def test_a_soft_level_concedes_its_excess():
 def test_the_text_says_to_whom_a_level_gave_way_and_by_how_much():
     reach, posture = explained(CONFLICT)
     assert str(reach) == "reach: error 0, as if it were alone"
-    assert str(posture) == ("posture: error 1.04 instead of 0; gave way by 1 to the levels above and 0.044 to knee upper")
+    assert str(posture) == (
+        "posture: error 1.04 instead of 0; gave way by 1 to the levels above, gave way by 0.044 to knee upper"
+    )
     assert str(explained(STOPPED)[0]) == "reach: error 1 instead of 0; gave way by 1 to hip upper"
     assert str(explained(AT_ODDS)[1]) == "other: error 9 instead of 0; gave way by 9 to the levels above"
 
@@ -139,7 +141,7 @@ def test_the_text_of_a_level_held_by_no_row_of_its_own_says_so():
 
 def test_the_text_of_a_level_that_rows_help_tells_both_sides():
     text = str(explained(STOPPED)[1])
-    assert text.startswith("posture: error 0.5 instead of 0; gave way by 1 to the levels above and -0.5 to")
+    assert text.startswith("posture: error 0.5 instead of 0; gave way by 1 to the levels above, got back 0.5 through rows")
 
 
 def test_errors_nearer_to_each_other_than_the_tolerance_are_equal():

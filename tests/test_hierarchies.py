@@ -260,7 +260,7 @@ class Tally:
         started = time.perf_counter()
         try:
             step = joint_step(problem, backend, QP_ONLY)
-        except Exception as error:
+        except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
             error.add_note(f"with {backend.name}, seed {seed}")
             raise
         self.times.append(time.perf_counter() - started)

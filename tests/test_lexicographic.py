@@ -309,6 +309,15 @@ def test_a_step_that_cannot_be_mended_is_the_solvers_own_and_uncertified(fake, m
     assert not step.certificate.holds
 
 
+def test_a_step_whose_polish_gave_up_does_not_count_as_certified_even_if_it_is_optimal(fake, monkeypatch):
+    """Certified steps are the same bits from every backend; this one is the solver's own."""
+    monkeypatch.setattr("prioritized_ik.solvers.polish.REPAIRS", 0)
+    fake(quadprog)
+    step = joint_step(BOXED, get_backend("fake"), QP_ONLY)
+    assert step.certificate.holds
+    assert step.status is StepStatus.UNCERTIFIED
+
+
 def quadprog(stage: Stage) -> StageResult:
     return registry.get_backend("quadprog").solve(stage)
 

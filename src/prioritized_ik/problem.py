@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.validation import Array, finite_array, length, one_of, read_only, shaped_array
+from prioritized_ik.validation import Array, finite_array, length, lengths, one_of, read_only, shaped_array
 
 #: `equal` is least squares of A dθ = b; `at_most` of what A dθ <= b leaves violated.
 KINDS = ("equal", "at_most")
@@ -256,8 +256,8 @@ class IKProblem:
         soft, of_rows, of_fixed = (np.isin(list(group), names) for group in (hard.names, self.rows.names, fixed.names))
         matrix = np.vstack([hard.matrix[soft], fixed.matrix[of_fixed], -fixed.matrix[of_fixed]])
         target = np.concatenate([hard.upper[soft], fixed.target[of_fixed], -fixed.target[of_fixed]])
-        lengths = np.linalg.norm(matrix, axis=1)
-        lengths[lengths == 0.0] = 1.0  # a row of zeros, which every step keeps
+        sizes = lengths(matrix)
+        sizes[sizes == 0.0] = 1.0  # a row of zeros, which every step keeps
         joints = self.bounds.names
         bounds = Bounds(
             np.where(np.isin([f"{joint} lower" for joint in joints], names), -np.inf, self.bounds.lower),
@@ -265,7 +265,7 @@ class IKProblem:
             joints,
         )
         return IKProblem(
-            (Level(matrix / lengths[:, None], target / lengths, name="softened rows", kind="at_most"), *self.levels),
+            (Level(matrix / sizes[:, None], target / sizes, name="softened rows", kind="at_most"), *self.levels),
             bounds,
             Rows(self.rows.matrix[~of_rows], self.rows.upper[~of_rows], _kept(self.rows.names, ~of_rows)),
             self.reference,
@@ -293,11 +293,11 @@ class IKProblem:
 
     @cached_property
     def _row_norms(self) -> Array:
-        return read_only(np.linalg.norm(self.inequalities.matrix, axis=1))
+        return read_only(lengths(self.inequalities.matrix))
 
     @cached_property
     def _equality_norms(self) -> Array:
-        return read_only(np.linalg.norm(self.equalities.matrix, axis=1))
+        return read_only(lengths(self.equalities.matrix))
 
 
 def step_scale(dtheta: Array) -> float:

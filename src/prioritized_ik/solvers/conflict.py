@@ -17,7 +17,7 @@ import scipy.optimize
 
 from prioritized_ik.errors import PrioritizedIkError
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.validation import Array
+from prioritized_ik.validation import Array, lengths
 
 #: [rad] A row that a step keeps to within this is kept: it is far above what a side of 1 rad is rounded to, and far below
 #: what matters to a joint. Of a side beyond 1 rad it is the fraction.
@@ -98,9 +98,9 @@ def _hard_rows(problem: IKProblem) -> _HardRows:
     sides = np.concatenate([rows.upper, equal.target, -equal.target])
     equal_owners = len(rows.upper) + np.arange(len(equal.target))
     owners = np.concatenate([np.arange(len(rows.upper)), equal_owners, equal_owners])
-    lengths = np.linalg.norm(matrix, axis=1)
-    some = lengths > 0.0
-    return _HardRows(matrix[some] / lengths[some, None], sides[some] / lengths[some], owners[some])
+    sizes = lengths(matrix)
+    some = sizes > 0.0
+    return _HardRows(matrix[some] / sizes[some, None], sides[some] / sizes[some], owners[some])
 
 
 @dataclass(frozen=True)

@@ -40,12 +40,15 @@ class Concession:
         """Return one line for people."""
         if not self.gave_way:
             return f"{self.level}: error {self.error:.3g}, as if it were alone"
+        to_levels, to_rows = self.below_others - self.alone, self.error - self.below_others
         reasons = []
-        if self.below_others > self.alone + self.tolerance:
-            reasons.append(f"{self.below_others - self.alone:.3g} to the levels above")
-        if abs(self.error - self.below_others) > self.tolerance:
-            reasons.append(f"{self.error - self.below_others:.3g} to {_listed(self.held_by)}")
-        return f"{self.level}: error {self.error:.3g} instead of {self.alone:.3g}; gave way by {' and '.join(reasons)}"
+        if to_levels > self.tolerance:
+            reasons.append(f"gave way by {to_levels:.3g} to the levels above")
+        if to_rows > self.tolerance:
+            reasons.append(f"gave way by {to_rows:.3g} to {_listed(self.held_by)}")
+        if to_rows < -self.tolerance:  # rows hold a level above back, to this one's gain
+            reasons.append(f"got back {-to_rows:.3g} through rows")
+        return f"{self.level}: error {self.error:.3g} instead of {self.alone:.3g}; {', '.join(reasons)}"
 
 
 NAMED = 5  # rows in a message

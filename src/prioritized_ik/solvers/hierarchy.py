@@ -281,11 +281,11 @@ def _task(level: Level, free: Array, rank_tolerance: float) -> Task:
 def _kept(problem: IKProblem) -> tuple[Array, Array]:
     """Return the shortest step that keeps the equalities, and the directions that they leave free."""
     m, equalities = problem.joint_count, problem.equalities
-    lengths = np.linalg.norm(equalities.matrix, axis=1)
-    real = lengths > 0.0
+    sizes = lengths(equalities.matrix)
+    real = sizes > 0.0
     if not real.any():
         return np.zeros(m), np.eye(m)
-    u, s, vt = np.linalg.svd(equalities.matrix[real] / lengths[real, None], full_matrices=True)
+    u, s, vt = np.linalg.svd(equalities.matrix[real] / sizes[real, None], full_matrices=True)
     p = int(np.count_nonzero(s > DEPENDENT * s[0]))
-    start = vt[:p].T @ (u[:, :p].T @ (equalities.target[real] / lengths[real]) / s[:p])
+    start = vt[:p].T @ (u[:, :p].T @ (equalities.target[real] / sizes[real]) / s[:p])
     return start, vt[p:].T.copy()

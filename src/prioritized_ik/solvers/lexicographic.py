@@ -80,18 +80,13 @@ def solve(problem: IKProblem, solver: str | AnyBackend = "daqp", options: SolveO
         StepNotFoundError: the solver failed or broke a row; the exception keeps the step's figures.
     """
     options = options or SolveOptions()
-    backend = backend_for(solver, options) if isinstance(solver, str) else solver
+    backend = get_backend(solver, options.accuracy) if isinstance(solver, str) else solver
     step = joint_step(problem, backend, options)
     if step.conflict is not None:
         raise InfeasibleError(str(step.conflict), step)
     if not step.found:
         raise StepNotFoundError(f"{backend.name}: {step.status.value}. {step.message}".rstrip(), step)
     return step
-
-
-def backend_for(solver: str, options: SolveOptions) -> AnyBackend:
-    """Return the backend of a solver. Raises as `get_backend` does."""
-    return get_backend(solver, options.accuracy)
 
 
 def joint_step(problem: IKProblem, backend: AnyBackend, options: SolveOptions) -> JointStep:
@@ -218,8 +213,9 @@ def _finished(hierarchy: Hierarchy, answer: Array | str, options: SolveOptions) 
         conflict = find_conflict(hierarchy.problem)
         status = StepStatus.NOT_FOUND if conflict is None else StepStatus.INFEASIBLE
         return JointStep(None, status, answer, conflict=conflict)
-    polished = polish(hierarchy, answer) if options.polish else Polished(answer, Proof(hierarchy, answer), 0)
-    status = StepStatus.SOLVED if polished.proof.certificate.holds else StepStatus.UNCERTIFIED
+    polished = polish(hierarchy, answer) if options.polish else Polished(answer, Proof(hierarchy, answer), 0, ended=True)
+    certified = polished.ended and polished.proof.certificate.holds
+    status = StepStatus.SOLVED if certified else StepStatus.UNCERTIFIED
     step = replace(_step(hierarchy, polished.dtheta, status, polished.proof), raw=answer, repairs=polished.repairs)
     if step.violation <= ACCEPTED_VIOLATION:
         return step

@@ -24,11 +24,20 @@ KEPT = 1e-10  # a row exceeded by less than this, relative to the step, is kept:
 
 @dataclass(frozen=True)
 class Polished:
-    """What a polish reached: `dtheta` `(m,)` [rad], its proof, and how many repairs the guess took."""
+    """What a polish reached.
+
+    Attributes:
+        dtheta: the exact optimum `(m,)` [rad]; the solver's answer if none was found.
+        proof: of that.
+        repairs: how many the guess took.
+        ended: whether the optimum was found; if not, even an answer whose certificate holds is the solver's, not the one
+            that all solvers share.
+    """
 
     dtheta: Array
     proof: Proof
     repairs: int
+    ended: bool
 
 
 def polish(hierarchy: Hierarchy, answer: Array) -> Polished:
@@ -49,12 +58,12 @@ def polish(hierarchy: Hierarchy, answer: Array) -> Polished:
         dtheta = target
         proof = Proof(hierarchy, dtheta)
         if proof.certificate.holds:
-            return Polished(*_from_all_tight_rows(hierarchy, dtheta, proof, active), repairs)
+            return Polished(*_from_all_tight_rows(hierarchy, dtheta, proof, active), repairs, ended=True)
         wrong = _wrong(proof, active)
         if not len(wrong):
-            return Polished(answer, Proof(hierarchy, answer), repairs)
+            return Polished(answer, Proof(hierarchy, answer), repairs, ended=False)
         active[wrong] = False
-    return Polished(answer, Proof(hierarchy, answer), REPAIRS)
+    return Polished(answer, Proof(hierarchy, answer), REPAIRS, ended=False)
 
 
 def face_solution(hierarchy: Hierarchy, active: NDArray[np.bool_]) -> Array:

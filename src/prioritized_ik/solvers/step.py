@@ -13,7 +13,9 @@ class StepStatus(Enum):
 
     CLOSED_FORM = "no row binds: the step is the closed form, Eqs. (12) and (13); no QP was needed"
     SOLVED = "every stage is solved, and the step is certified: it is the optimum of every level"
-    UNCERTIFIED = "the solver's step keeps every bound and row, but is not proven optimal: see its certificate's figures"
+    UNCERTIFIED = (
+        "the solver's step keeps every bound and row, but is not proven to be the one optimum: see its certificate"
+    )
     VIOLATED = "the solver's step breaks a bound or row: tighten the accuracy or choose another solver"
     NOT_FOUND = "the solver gave no answer to a stage: choose another solver, or look at the rows for a conflict"
     INFEASIBLE = "no step keeps all hard rows: leave out or soften one of those named"

@@ -19,8 +19,9 @@ from prioritized_ik.errors import EpisodeFileError, InputError
 from prioritized_ik.files import write_whole
 from prioritized_ik.limits import contact_row_name
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
+from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.hierarchy import strict_solution
-from prioritized_ik.solvers.lexicographic import backend_for, joint_step
+from prioritized_ik.solvers.lexicographic import joint_step
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.validation import Array, read_only
 from prioritized_ik.winding.controller import Equilibrium, WindingController, levels_of
@@ -251,7 +252,7 @@ def replay(episode: Episode) -> Episode:
 def _solve_of(settings: WindingSettings) -> Solve:
     if settings.solver == CLOSED_FORM:
         return lambda problem, _: _closed_form_step(problem, settings.options.rank_tolerance)
-    backend = backend_for(settings.solver, settings.options)
+    backend = get_backend(settings.solver, settings.options.accuracy)
     return lambda problem, _: joint_step(problem, backend, settings.options)
 
 

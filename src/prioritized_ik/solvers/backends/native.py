@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import qpsolvers
@@ -55,6 +56,23 @@ class Workspace(ABC):
 
     @abstractmethod
     def __init__(self, problem: qpsolvers.Problem, options: Options, costed: int, shift: float) -> None: ...
+
+    _sent: Array | None  # the rows as they came, to tell whether others came
+
+    def _changed(self, problem: qpsolvers.Problem, linear: str, upper: str, rows: str) -> dict[str, Any]:
+        """Return what is to be sent of `problem`, by the solver's own names; `_rows_sent` gives rows their form."""
+        changed = {linear: problem.q}
+        if problem.h is not None:
+            changed[upper] = problem.h
+        if problem.G is not self._sent:
+            changed[rows] = self._rows_sent(problem.G)
+            self._sent = problem.G
+        return changed
+
+    @staticmethod
+    def _rows_sent(rows: Array, /) -> Any:
+        """Return `rows` in the form in which the solver takes them."""
+        return rows
 
     @abstractmethod
     def solve(self, problem: qpsolvers.Problem, multipliers: Array | None) -> Answer:

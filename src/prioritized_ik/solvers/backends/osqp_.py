@@ -36,15 +36,13 @@ class OsqpWorkspace(Workspace):
             **options,
         )
 
+    @staticmethod
+    def _rows_sent(rows: Array, /) -> Array:
+        return rows.ravel(order="F")  # the values of `full_pattern`
+
     def solve(self, problem: qpsolvers.Problem, multipliers: Array | None) -> Answer:
         """See `Workspace.solve`."""
-        changed = {"q": problem.q}
-        if problem.h is not None:
-            changed["u"] = problem.h
-        if problem.G is not self._sent:
-            changed["Ax"] = problem.G.ravel(order="F")
-            self._sent = problem.G
-        self._solver.update(**changed)
+        self._solver.update(**self._changed(problem, linear="q", upper="u", rows="Ax"))
         if multipliers is not None:
             self._solver.warm_start(x=start_with(multipliers, problem, self._costed), y=multipliers)
         result = self._solver.solve(raise_error=False)

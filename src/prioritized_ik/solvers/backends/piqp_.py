@@ -21,18 +21,16 @@ class PiqpWorkspace(Workspace):
         self._solver = piqp.DenseSolver()
         for name, value in options.items():
             setattr(self._solver.settings, name, value)
-        rows = None if problem.G is None else np.asfortranarray(problem.G)
+        rows = None if problem.G is None else self._rows_sent(problem.G)
         self._solver.setup(np.asfortranarray(problem.P), problem.q, G=rows, h_u=problem.h)
+
+    @staticmethod
+    def _rows_sent(rows: Array, /) -> Array:
+        return np.asfortranarray(rows)
 
     def solve(self, problem: qpsolvers.Problem, multipliers: Array | None) -> Answer:
         """See `Workspace.solve`. There is no way to give it a start."""
-        changed = {"c": problem.q}
-        if problem.h is not None:
-            changed["h_u"] = problem.h
-        if problem.G is not self._sent:
-            changed["G"] = np.asfortranarray(problem.G)
-            self._sent = problem.G
-        self._solver.update(**changed)
+        self._solver.update(**self._changed(problem, linear="c", upper="h_u", rows="G"))
         status = self._solver.solve()
         if status != piqp.PIQP_SOLVED:
             raise SolverFailedError(f"found no solution ({status.name})")

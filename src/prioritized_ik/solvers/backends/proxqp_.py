@@ -6,7 +6,6 @@ It does not look at complementarity unless told to, and takes a feasible start f
 
 import numpy as np
 import qpsolvers
-import scipy.sparse
 from proxsuite import proxqp
 
 from prioritized_ik.solvers.backends.abilities import Options
@@ -27,19 +26,13 @@ class ProxqpWorkspace(Workspace):
         self._qp = self.solver(len(problem.q), 0, rows)
         for name, value in options.items():
             setattr(self._qp.settings, name, value)
-        c = None if problem.G is None else self.matrix(problem.G)
+        c = None if problem.G is None else self._rows_sent(problem.G)
         lower = None if problem.G is None else np.full(rows, UNBOUNDED)
-        self._qp.init(H=self.matrix(problem.P), g=problem.q, C=c, l=lower, u=problem.h)
+        self._qp.init(H=self._rows_sent(problem.P), g=problem.q, C=c, l=lower, u=problem.h)
 
     def solve(self, problem: qpsolvers.Problem, multipliers: Array | None) -> Answer:
         """See `Workspace.solve`."""
-        changed = {"g": problem.q}
-        if problem.h is not None:
-            changed["u"] = problem.h
-        if problem.G is not self._sent:
-            changed["C"] = self.matrix(problem.G)
-            self._sent = problem.G
-        self._qp.update(**changed)
+        self._qp.update(**self._changed(problem, linear="g", upper="u", rows="C"))
         if multipliers is None:
             self._qp.solve()
         else:
@@ -50,14 +43,9 @@ class ProxqpWorkspace(Workspace):
             raise SolverFailedError(f"found no solution ({results.info.status.name})")
         return Answer(np.array(results.x), np.maximum(results.z, 0.0), results.info.iter)
 
-    @staticmethod
-    def matrix(dense: Array) -> Array | scipy.sparse.csc_matrix:
-        """Return `dense` in the form the solver takes."""
-        return dense
-
 
 class SparseProxqpWorkspace(ProxqpWorkspace):
     """One `proxsuite.proxqp.sparse.QP`. It takes only values of the pattern it was set up with."""
 
     solver = proxqp.sparse.QP
-    matrix = staticmethod(full_pattern)
+    _rows_sent = staticmethod(full_pattern)
