@@ -5,7 +5,7 @@ READY := .venv/.ready
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: setup compare test lint types unit readme lock clean
+.PHONY: setup compare paper test lint types unit readme lock clean
 
 setup: $(READY)
 
@@ -19,6 +19,10 @@ $(READY): requirements.lock pyproject.toml
 compare: setup
 	mkdir -p results
 	$(BIN)/prioritized-ik compare --out results/compare --json results/compare.json
+
+# Every table and figure of the paper, and the report, in results/paper/.
+paper: setup
+	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/prioritized-ik paper --out results/paper
 
 test: lint types unit
 
@@ -39,7 +43,7 @@ readme: setup
 
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
-	    --extra solvers --extra dev pyproject.toml --output-file requirements.lock
+	    --extra solvers --extra report --extra dev pyproject.toml --output-file requirements.lock
 
 clean:
 	rm -rf .venv results

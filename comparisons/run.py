@@ -4,19 +4,17 @@
 """
 
 import functools
-import multiprocessing
-import os
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import threadpoolctl
 
 from comparisons.mink_today import MinkSolver
+from comparisons.processes import one_thread_pool
 from comparisons.settings import MINK_SOLVERS, RECORDER, ComparisonSettings
 from prioritized_ik.errors import WitnessError
 from prioritized_ik.problem import IKProblem, Level
@@ -70,10 +68,7 @@ def run(settings: ComparisonSettings, folder: Path, progress: Progress) -> tuple
         folder: where the recorded episodes go, `<direction>.npz`.
         progress: called as jobs end.
     """
-    # Fresh interpreters: a fork would copy the threads of the parent's libraries in whatever state they are. The thread
-    # counts are set before they start, because some libraries read them only once.
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
-    with ProcessPoolExecutor(settings.workers, multiprocessing.get_context("spawn"), _one_thread) as pool:
+    with one_thread_pool(settings.workers) as pool:
         recorded = [pool.submit(record_episode, settings, direction, folder) for direction in settings.directions]
         for done, episode in enumerate(as_completed(recorded), 1):
             episode.result()
@@ -138,10 +133,6 @@ def drive(settings: ComparisonSettings, job: Job, folder: Path) -> list[Record]:
     )
     outcome = {"outcome": episode.outcome.name, "message": episode.message}
     return [{"direction": direction, **asdict(measure(episode)), **outcome, **_names(job)}]
-
-
-def _one_thread() -> None:
-    threadpoolctl.threadpool_limits(1)
 
 
 def _names(job: Job) -> Record:

@@ -1,0 +1,46 @@
+"""Puts tables of the report between the markers of a Markdown file, so that no figure there is typed by hand."""
+
+import re
+from pathlib import Path
+
+from paper_repro.build import folder_of
+from paper_repro.catalogue import chosen
+from prioritized_ik.errors import InputError
+from prioritized_ik.files import write_whole
+
+MARKED = re.compile(r"(<!-- paper: (?P<name>[a-z0-9-]+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
+
+
+def marked(file: Path) -> list[str]:
+    """Return the names of the artefacts that a Markdown file has a place for.
+
+    Raises:
+        InputError: it has none, or one for an artefact that there is not.
+    """
+    names = [match["name"] for match in MARKED.finditer(file.read_text(encoding="utf-8"))]
+    if not names:
+        raise InputError(
+            f"{str(file)!r} has no place for a table; expected '<!-- paper: table-8 -->' and '<!-- end of table -->'."
+        )
+    chosen(tuple(names))
+    return names
+
+
+def fill(file: Path, out: Path) -> None:
+    """Put the tables made in `out` between the markers of `file`, without their headings.
+
+    Raises:
+        InputError: one was not made, or the file cannot be written.
+    """
+    tables = {}
+    for artefact in chosen(tuple(marked(file))):
+        path = folder_of(artefact, out) / f"{artefact.name}.md"
+        if not path.is_file():
+            raise InputError(f"{artefact.name} was not made in {str(out)!r}; run without --only, or with it named.")
+        _, _, body = path.read_text(encoding="utf-8").partition("\n\n")
+        tables[artefact.name] = body
+    text = MARKED.sub(lambda match: match[1] + tables[match["name"]] + match[3], file.read_text(encoding="utf-8"))
+    try:
+        write_whole(file, lambda handle: handle.write(text.encode("utf-8")))
+    except OSError as error:
+        raise InputError(f"cannot write {str(file)!r} ({error}).") from error

@@ -1,0 +1,84 @@
+"""The report: everything that was made, in one Markdown file and in one HTML file that needs no other.
+
+It is put together from the artefacts' own Markdown, so that what was made by itself is in it too. Measured times are only
+in the HTML: the Markdown file is the same, byte for byte, in every run.
+"""
+
+import base64
+import re
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from paper_repro.artefact import Artefact
+from prioritized_ik.files import write_whole
+
+TITLE = "The paper, reproduced"
+
+INTRODUCTION = """\
+What this library makes of T. Tsuji, S. Nakayama and K. Ito, *Instantaneous Inverse Kinematic Solution for Redundant
+Manipulators Based on Virtual Arms and Its Application to Winding Control*: what the paper states, checked; its equations,
+audited; its figures, drawn anew; and what it leaves open, measured.
+
+The paper gives neither the initial pose nor the object's, no link radius, time step, joint range or contact threshold. Its
+Figs. 6 and 7 can therefore be reproduced **in quality only**: no pose here is claimed to be the paper's. What was chosen in
+their place stands in the table of choices, and what those choices change in the table after it.
+
+Under every table and figure stands the command that makes it.
+"""
+
+
+def write_report(chapters: dict[str, list[Artefact]], out: Path) -> list[Path]:
+    """Write `report.md` and `report.html` into `out` from the artefacts that are there, and return them."""
+    from paper_repro.build import TIMED, folder_of
+
+    markdown, html = [f"# {TITLE}\n", INTRODUCTION], [INTRODUCTION]
+    contents = []
+    for chapter, artefacts in chapters.items():
+        made = [(a, path) for a in artefacts if (path := folder_of(a, out) / f"{a.name}.md").is_file()]
+        if not made:
+            continue
+        contents.append((chapter, [(a.name, a.title) for a, _ in made]))
+        markdown.append(f"## {chapter}\n")
+        html.append(f"## {chapter}\n")
+        for artefact, path in made:
+            text = path.read_text(encoding="utf-8")
+            folder = path.parent.relative_to(out)
+            moved = re.sub(r"\]\((?!https?:|#)", f"]({folder}/", text)
+            if artefact.timed:
+                link = f"[{TIMED}/{artefact.name}.md]({TIMED}/{artefact.name}.md)"
+                moved = f"### {artefact.title}\n\nMeasured times, which no two runs share, are kept apart: {link}.\n"
+            markdown.append(moved)
+            html.append(f'<a id="{artefact.name}"></a>\n\n{_with_pictures(text, path.parent)}')
+    paths = [out / "report.md", out / "report.html"]
+    for path, text in zip(paths, ("\n".join(markdown), _page("\n".join(html), contents)), strict=True):
+        write_whole(path, lambda file, text=text: file.write(text.encode("utf-8")))  # type: ignore[misc]
+    return paths
+
+
+def _with_pictures(text: str, folder: Path) -> str:
+    """Return an artefact's Markdown with its pictures inside, and without links to files beside it."""
+
+    def inlined(match: re.Match[str]) -> str:
+        alt, name = match.groups()
+        data = base64.b64encode((folder / name).read_bytes()).decode()
+        return f'<figure><img alt="{escape(alt)}" src="data:image/svg+xml;base64,{data}"></figure>'
+
+    text = re.sub(r"!\[([^]]*)\]\(([^)]+\.svg)\)", inlined, text)
+    return re.sub(r"^\[SVG\].*\n", "", text, flags=re.MULTILINE)
+
+
+def _page(markdown: str, contents: list[tuple[str, list[tuple[str, str]]]]) -> str:
+    from markdown_it import MarkdownIt
+
+    body = MarkdownIt("commonmark", {"html": True}).enable("table").render(markdown)
+    body = body.replace("<table>", '<div class="table" tabindex="0"><table>').replace("</table>", "</table></div>")
+    links = "".join(
+        f"<li>{escape(chapter)}<ol>"
+        + "".join(f'<li><a href="#{name}">{escape(title)}</a></li>' for name, title in entries)
+        + "</ol></li>"
+        for chapter, entries in contents
+    )
+    template = Template(files("paper_repro").joinpath("report.html").read_text(encoding="utf-8"))
+    return template.substitute(title=escape(TITLE), contents=f"<ol>{links}</ol>", body=body)
