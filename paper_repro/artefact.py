@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from paper_repro.jobs import Job, Results
@@ -58,6 +59,11 @@ class Artefact:
     jobs: Callable[[Scale], list[Job]]
     build: "Callable[[Scale, Results], Table | Figure]"
     timed: bool = False
+
+    def file(self, out: Path, kind: str) -> Path:
+        """Return where its file of a kind, such as `csv`, stands in a folder of artefacts."""
+        folder = "timed" if self.timed else "figures" if self.name.startswith("figure-") else "tables"
+        return out / folder / f"{self.name}.{kind}"
 
 
 def no_jobs(scale: Scale) -> list[Job]:

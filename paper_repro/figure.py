@@ -74,13 +74,12 @@ def new_figure(
     return figure, figure.subplots(rows, columns, **options)
 
 
-def write_figure(figure: "Figure", stem: Path) -> list[Path]:
-    """Write a figure as `<stem>.svg`, `.pdf` and `.png`, each whole or not at all, and return the files."""
+def write_figure(figure: "Figure", path: Path) -> Path:
+    """Write a figure to a file of one of `KINDS`, whole or not at all, and return the file."""
     import matplotlib as mpl
 
-    undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
-    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in KINDS]
+    kind = path.suffix[1:]
+    undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
     with mpl.rc_context(STYLE):
-        for kind, path in zip(KINDS, paths, strict=True):
-            write_whole(path, lambda file, kind=kind: figure.savefig(file, format=kind, metadata=undated[kind]))  # type: ignore[misc]
-    return paths
+        write_whole(path, lambda file: figure.savefig(file, format=kind, metadata=undated.get(kind)))
+    return path

@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-from paper_repro.build import folder_of
 from paper_repro.catalogue import chosen
 from prioritized_ik.errors import InputError
 from prioritized_ik.files import write_whole
@@ -34,7 +33,7 @@ def fill(file: Path, out: Path) -> None:
     """
     tables = {}
     for artefact in chosen(tuple(marked(file))):
-        path = folder_of(artefact, out) / f"{artefact.name}.md"
+        path = artefact.file(out, "md")
         if not path.is_file():
             raise InputError(f"{artefact.name} was not made in {str(out)!r}; run without --only, or with it named.")
         _, _, body = path.read_text(encoding="utf-8").partition("\n\n")

@@ -31,12 +31,10 @@ Under every table and figure stands the command that makes it.
 
 def write_report(chapters: dict[str, list[Artefact]], out: Path) -> list[Path]:
     """Write `report.md` and `report.html` into `out` from the artefacts that are there, and return them."""
-    from paper_repro.build import TIMED, folder_of
-
     markdown, html = [f"# {TITLE}\n", INTRODUCTION], [INTRODUCTION]
     contents = []
     for chapter, artefacts in chapters.items():
-        made = [(a, path) for a in artefacts if (path := folder_of(a, out) / f"{a.name}.md").is_file()]
+        made = [(a, path) for a in artefacts if (path := a.file(out, "md")).is_file()]
         if not made:
             continue
         contents.append((chapter, [(a.name, a.title) for a, _ in made]))
@@ -44,11 +42,11 @@ def write_report(chapters: dict[str, list[Artefact]], out: Path) -> list[Path]:
         html.append(f"## {chapter}\n")
         for artefact, path in made:
             text = path.read_text(encoding="utf-8")
-            folder = path.parent.relative_to(out)
-            moved = re.sub(r"\]\((?!https?:|#)", f"]({folder}/", text)
+            place = path.relative_to(out)
+            moved = re.sub(r"\]\((?!https?:|#)", f"]({place.parent}/", text)
             if artefact.timed:
-                link = f"[{TIMED}/{artefact.name}.md]({TIMED}/{artefact.name}.md)"
-                moved = f"### {artefact.title}\n\nMeasured times, which no two runs share, are kept apart: {link}.\n"
+                told = f"Measured times, which no two runs share, are kept apart: [{place}]({place})."
+                moved = f"### {artefact.title}\n\n{told}\n"
             markdown.append(moved)
             html.append(f'<a id="{artefact.name}"></a>\n\n{_with_pictures(text, path.parent)}')
     paths = [out / "report.md", out / "report.html"]

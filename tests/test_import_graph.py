@@ -1,6 +1,7 @@
 """Imports run one way: each layer imports only what stands before it, deferred imports included."""
 
 import ast
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -125,6 +126,14 @@ def test_the_certificate_does_not_know_the_polish():
 
 def test_the_witness_shares_no_code_with_the_solvers():
     assert not any(name.startswith(f"{PACKAGE}.solvers") for name in _reachable("solvers.witness", _sources()))
+
+
+def test_the_comparisons_do_not_know_the_paper():
+    folder = Path(importlib.import_module("comparisons").__file__).parent
+    for path in folder.rglob("*.py"):
+        assert not any(name.startswith("paper_repro") for name in _imported(path.stem, path.read_text(encoding="utf-8"))), (
+            path
+        )
 
 
 SABOTAGE = {

@@ -1,0 +1,172 @@
+"""The paper by one command: the reduced run makes everything, once, whole, and the same each time."""
+
+import csv
+import re
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from paper_repro import jobs
+from paper_repro.artefact import QUICK, Artefact
+from paper_repro.catalogue import CHAPTERS, artefacts
+from paper_repro.figure import KINDS
+from prioritized_ik.cli import main
+
+ROOT = Path(__file__).parents[1]
+NAMES = [artefact.name for artefact in artefacts()]
+MAGIC = {"svg": b"<?xml", "pdf": b"%PDF", "png": b"\x89PNG"}
+
+#: Made anew from nothing and compared byte by byte in the suite: cheap ones of every kind, whole windings among them.
+COMPARED = ("facts", "table-1", "table-2", "table-3", "table-6", "table-8", "figure-3", "figure-7")
+
+
+def paper(*arguments: str) -> Result:
+    return CliRunner().invoke(main, ["paper", *arguments])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("paper")
+    result = paper("--quick", "--out", str(out))
+    assert result.exit_code == 0, result.output
+    return out
+
+
+def files_of(artefact: Artefact, out: Path) -> list[Path]:
+    kinds = (*KINDS, "md") if artefact.name.startswith("figure") else ("csv", "tex", "md")
+    return [artefact.file(out, kind) for kind in kinds]
+
+
+@pytest.mark.parametrize("artefact", artefacts(), ids=NAMES)
+def test_every_artefact_is_made_in_every_form_and_says_what_it_shows(made, artefact):
+    for path in files_of(artefact, made):
+        content = path.read_bytes()
+        assert content.startswith(MAGIC.get(path.suffix[1:], b"")), path
+    text = files_of(artefact, made)[-1].read_text(encoding="utf-8")
+    assert artefact.title in text
+    assert len(artefact.caption) > 80
+    assert f"`prioritized-ik paper --only {artefact.name} --quick`" in text
+
+
+@pytest.mark.parametrize("artefact", [a for a in artefacts() if not a.name.startswith("figure")], ids=lambda a: a.name)
+def test_the_three_forms_of_a_table_have_the_same_rows_and_columns(made, artefact):
+    stem = files_of(artefact, made)[0].with_suffix("")
+    rows = list(csv.reader(stem.with_suffix(".csv").read_text(encoding="utf-8").splitlines()))
+    assert len(rows) > 1
+    assert len({len(row) for row in rows}) == 1
+    lines = [line for line in stem.with_suffix(".md").read_text(encoding="utf-8").splitlines() if line.startswith("|")]
+    assert len(lines) == len(rows) + 1
+    assert {len(re.findall(r"(?<!\\)\|", line)) for line in lines} == {len(rows[0]) + 1}
+    body = stem.with_suffix(".tex").read_text(encoding="utf-8")
+    assert [len(re.findall(r"(?<!\\)&", line)) for line in body.splitlines() if line.endswith(r"\\")] == [
+        len(rows[0]) - 1
+    ] * len(rows)
+    assert body.isascii()
+
+
+def test_the_report_needs_no_other_file(made):
+    html = (made / "report.html").read_text(encoding="utf-8")
+    assert html.count('src="data:image/svg+xml;base64,') == sum(name.startswith("figure") for name in NAMES)
+    assert not re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', html)
+    for name in NAMES:
+        assert f'id="{name}"' in html
+        assert f'href="#{name}"' in html
+
+
+def test_the_markdown_report_leads_to_files_that_are_there(made):
+    text = (made / "report.md").read_text(encoding="utf-8")
+    links = re.findall(r"\]\(([^)#]+)\)", text)
+    assert len(links) > len(NAMES)
+    for link in links:
+        assert (made / link).is_file(), link
+    assert [line[3:] for line in text.splitlines() if line.startswith("## ")] == list(CHAPTERS)
+
+
+def test_the_report_claims_the_unpublished_poses_in_quality_only(made):
+    text = (made / "report.md").read_text(encoding="utf-8")
+    assert "in quality only" in text
+    assert not re.search(r"(same|identical|equal) (pose|posture|configuration)s? (as|to) (the paper|Fig)", text)
+
+
+def test_two_runs_give_the_same_bytes(made, tmp_path):
+    """Everything computed anew, by one process instead of all."""
+    result = paper("--quick", "--out", str(tmp_path), "--workers", "1", "--only", ",".join(COMPARED))
+    assert result.exit_code == 0, result.output
+    for artefact in artefacts():
+        if artefact.name in COMPARED:
+            for first, second in zip(files_of(artefact, made), files_of(artefact, tmp_path), strict=True):
+                assert first.read_bytes() == second.read_bytes(), first.name
+
+
+def test_one_artefact_is_made_by_itself_from_what_is_done(made, monkeypatch):
+    report = (made / "report.md").read_bytes()
+    table = made / "tables" / "table-8.csv"
+    before = table.read_bytes()
+    table.unlink()
+    monkeypatch.setattr(jobs, "one_thread_pool", None)  # no job may run
+    result = paper("--quick", "--out", str(made), "--only", "table-8")
+    assert result.exit_code == 0, result.output
+    assert table.read_bytes() == before
+    assert (made / "report.md").read_bytes() == report
+
+
+def test_measured_times_stay_out_of_what_must_not_change(made):
+    timed = [artefact for artefact in artefacts() if artefact.timed]
+    assert [artefact.name for artefact in timed] == ["table-7"]
+    text = (made / "report.md").read_text(encoding="utf-8")
+    assert "kept apart: [timed/table-7.md](timed/table-7.md)" in text
+    row = files_of(timed[0], made)[-1].read_text(encoding="utf-8").splitlines()[-6]
+    assert row not in text
+    for artefact in artefacts():
+        assert artefact.timed or not any(job.alone for job in artefact.jobs(QUICK)), artefact.name
+
+
+def test_the_check_prints_a_verdict_for_every_fact(made):
+    result = paper("--quick", "--out", str(made), "check")
+    assert result.exit_code == 0, result.output
+    for verdict in ("agrees", "not stated"):
+        assert verdict in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--only", "table-99"), "unknown artefact 'table-99'; choose one of: facts, table-1"),
+        (("--workers", "0"), "workers is 0; expected a whole number of at least 1"),
+        (("--out", "/proc/paper"), "cannot write into '/proc"),
+    ],
+)
+def test_bad_arguments_are_refused_with_what_to_do(arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = paper("--quick", *arguments)
+    assert result.exit_code == 2
+    assert message in result.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_tables_go_between_the_markers_of_a_file(made, tmp_path):
+    file = tmp_path / "page.md"
+    file.write_text("before\n<!-- paper: table-3 -->\nold\n<!-- end of table -->\nafter\n", encoding="utf-8")
+    result = paper("--quick", "--out", str(made), "--only", "table-3", "--readme", str(file))
+    assert result.exit_code == 0, result.output
+    text = file.read_text(encoding="utf-8")
+    table = (made / "tables" / "table-3.md").read_text(encoding="utf-8").partition("\n\n")[2]
+    assert text == f"before\n<!-- paper: table-3 -->\n{table}<!-- end of table -->\nafter\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("nothing", "has no place for a table"),
+        ("<!-- paper: table-99 -->\n<!-- end of table -->", "unknown artefact 'table-99'"),
+        ("<!-- paper: table-1 -->\n<!-- end of table -->", "table-1 was not made in"),
+    ],
+)
+def test_a_file_without_a_fitting_place_is_left_as_it_is(text, message, tmp_path):
+    file = tmp_path / "page.md"
+    file.write_text(text, encoding="utf-8")
+    result = paper("--quick", "--out", str(tmp_path / "out"), "--only", "table-3", "--readme", str(file))
+    assert result.exit_code == 2
+    assert message in result.output
+    assert file.read_text(encoding="utf-8") == text
