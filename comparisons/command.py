@@ -45,7 +45,7 @@ def solvers() -> None:
 @click.option("--tilt", default=0.0, help="Tilt of the object's axis [rad].")
 @click.option("--accuracy", default=1e-8, help="Asked of every solver, in the stages' scaled variables.")
 @click.option("--rank-tolerance", default=1e-4, help="Shared by all: singular values below this fraction count as zero.")
-@click.option("--damping", default=1e-12, help="Of the damped formulation.")
+@click.option("--damping", default=1e-12, help="Of the damped and slack formulations.")
 @click.option("--closed-form-first/--no-closed-form-first", default=False, help="Skip the QP where no row binds.")
 @click.option(
     "--witness/--no-witness", default=False, help="Also solve the recorded steps by the problem written in CVXPY."

@@ -28,8 +28,8 @@ MINIMUM_NORM_LEGEND = (
 WEIGHT_RATIO_LEGEND = (
     "Two tasks at the ends of one link, which cannot both be done. Ratio: of their weights. Figures: distance from the "
     "strict two-level answer, relative; of the residuals, relative to what the task asks. Orthogonal factors: the closed "
-    "form of the library. Damped: JᵀWJ + 1e-12 I. Strict levels: the two levels by the lexicographic QP, which needs no "
-    "ratio. Green: within 1e-6."
+    "form of the library. Damped: JᵀWJ + 1e-12 I. Slack QP: the same optimum without JᵀWJ, the solver's default options. "
+    "Strict levels: the two levels by the lexicographic QP, which needs no ratio. Green: within 1e-6."
 )
 
 #: The tables of `demo weight-ratio`: a field of its rows, and what it is.

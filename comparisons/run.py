@@ -11,19 +11,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from comparisons.judging import Sampled, judge, sample
 from comparisons.mink_today import MinkSolver
 from comparisons.processes import one_thread_pool
 from comparisons.settings import MINK_SOLVERS, RECORDER, ComparisonSettings
 from prioritized_ik.errors import WitnessError
-from prioritized_ik.problem import IKProblem, Level
+from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.certificate import certify
-from prioritized_ik.solvers.closed_form import level_decomposition, resulting_displacement
 from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION, FREE, joint_step
+from prioritized_ik.solvers.lexicographic import joint_step
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.solvers.witness import witness_step
 from prioritized_ik.validation import Array
@@ -94,7 +92,7 @@ def jobs(settings: ComparisonSettings) -> list[Job]:
         Job("replay", solver, formulation, settings.directions)
         for solver in settings.solvers
         for formulation in settings.formulations
-        if formulation != "damped" or not abilities_of(solver).native  # a start helps nothing in a QP solved once
+        if formulation == "lexicographic" or not abilities_of(solver).native  # a start helps nothing in a QP solved once
     ]
     todo += [Job("replay", name, "mink", settings.directions) for name in MINK_ROWS]
     if settings.witness:
@@ -114,11 +112,10 @@ def replay(settings: ComparisonSettings, job: Job, folder: Path) -> list[Record]
     """Return one record for each sampled problem of each direction, solved by the job's solver."""
     records = []
     for direction in job.directions:
-        sample = _sample(folder / f"{direction}.npz", settings.steps, settings.rank_tolerance)
         solve = _solver(settings, job, direction)
-        for item in sample:
+        for item in _sample(folder / f"{direction}.npz", settings.steps, settings.rank_tolerance):
             step = solve(item.problem, item.q)
-            records.append({"direction": direction, "step": item.step, **_judge(item, step), **_names(job)})
+            records.append({"direction": direction, "step": item.step, **judge(item, step), **_names(job)})
     return records
 
 
@@ -164,93 +161,6 @@ def _witness(rank_tolerance: float, problem: IKProblem, q: Array) -> JointStep:
     return JointStep(dtheta, status, violation=certificate.violation, timings=timings, certificate=certificate)
 
 
-@dataclass(frozen=True)
-class _Sampled:
-    """A recorded problem and what the closed form says of it."""
-
-    step: int
-    problem: IKProblem
-    level: Level  # the problem's, its matrix cut to the rank that all solvers share
-    q: Array
-    dtheta: Array  # Eqs. (12) to (14)
-    dx: Array  # Eq. (15)
-    free: bool
-
-
 @functools.cache
-def _sample(path: Path, steps: int, rank_tolerance: float) -> list[_Sampled]:
-    """Return up to `steps` problems of an episode, evenly spaced, half of them free as far as there are so many."""
-    episode = Episode.load(path)
-    everything = [_sampled(episode, step, rank_tolerance) for step in range(episode.steps)]
-    free = [item for item in everything if item.free]
-    bound = [item for item in everything if not item.free]
-    frees = _spread(free, max(steps // 2, steps - len(bound)))
-    return sorted([*frees, *_spread(bound, steps - len(frees))], key=lambda item: item.step)
-
-
-def _sampled(episode: Episode, step: int, rank_tolerance: float) -> _Sampled:
-    problem = episode.problem(step)
-    level = problem.levels[0]
-    hierarchy = Hierarchy(problem, rank_tolerance)
-    dtheta = hierarchy.closed_form
-    factors, _ = level_decomposition(level, np.eye(problem.joint_count), rank_tolerance)
-    return _Sampled(
-        step,
-        problem,
-        hierarchy.cut_problem.levels[0],
-        episode.q[step],
-        dtheta,
-        resulting_displacement(factors.j_a, level.weights, level.target),
-        problem.relative_violation(dtheta) <= FREE,
-    )
-
-
-def _spread(items: list[_Sampled], count: int) -> list[_Sampled]:
-    """Return `count` of `items`, evenly spaced."""
-    if count >= len(items):
-        return items
-    return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]
-
-
-def _judge(item: _Sampled, step: JointStep) -> Record:
-    """Return the figures of one step, every one computed from the problem and none taken from the solver.
-
-    What is judged is the solver's own answer, before the polish; the certified step has columns of its own.
-    """
-    level = item.level
-    own = step.raw if step.raw is not None else step.dtheta
-    certificate = step.certificate
-    record: Record = {
-        "free": item.free,
-        "status": step.status.name,
-        "message": step.message,
-        "found": step.found,
-        "solve_s": step.timings.build + step.timings.solve,
-        "polish_s": step.timings.polish,
-        "violation": None,
-        "cost": None,
-        "cost_at_zero": level.cost(np.zeros_like(item.dtheta)),
-        "dtheta": None,
-        "dtheta_error": None,
-        "dx_error": None,
-        "certified": step.status in (StepStatus.CLOSED_FORM, StepStatus.SOLVED),
-        "certificate": None if certificate is None else certificate.worst,
-        "certified_dtheta": None,
-        "repairs": step.repairs,
-    }
-    if step.dtheta is None or own is None:
-        record["violation"] = step.violation if step.violation > ACCEPTED_VIOLATION else None
-        return record
-    record["dtheta"] = own.tolist()
-    record["violation"] = item.problem.relative_violation(own)
-    record["cost"] = level.cost(own)
-    if record["certified"]:
-        record["certified_dtheta"] = step.dtheta.tolist()
-    if item.free:
-        record["dtheta_error"] = _relative(own, item.dtheta)
-        record["dx_error"] = _relative(level.matrix @ own, item.dx)
-    return record
-
-
-def _relative(value: Array, reference: Array) -> float:
-    return float(np.linalg.norm(value - reference) / np.linalg.norm(reference))
+def _sample(path: Path, steps: int, rank_tolerance: float) -> list[Sampled]:
+    return sample(Episode.load(path), steps, rank_tolerance)

@@ -91,7 +91,7 @@ def summarise(steps: list[Record], episodes: list[Record]) -> list[Row]:
     add_certified_spreads(steps)
     replayed, driven = _by_row(steps), _by_row(episodes)
     rows = [_row(key, replayed.get(key, []), driven.get(key, [])) for key in {**replayed, **driven}]
-    order = ("closed form", "lexicographic", "witness", "mink", "damped")
+    order = ("closed form", "lexicographic", "witness", "mink", "damped", "slack")
     return sorted(rows, key=lambda row: (order.index(row.formulation), row.verdict != "agrees", row.solver))
 
 

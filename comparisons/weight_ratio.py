@@ -2,7 +2,8 @@
 
 In exact arithmetic the distance falls as one over the ratio. How far a method can follow depends on how it solves:
 orthogonal factors of W^½ J see the square root of the ratio and of the cost; the normal equations JᵀWJ see all of both, so
-that the lighter task and the directions without any drown in the rounding of the heavier one.
+that the lighter task and the directions without any drown in the rounding of the heavier one. The slack QP does not
+square J either, but how much of that arrives is up to the solver, called as it stands with its default options.
 """
 
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from prioritized_ik.errors import StepNotFoundError
+from prioritized_ik.errors import SolverUnavailableError, StepNotFoundError
 from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.lexicographic import SolveOptions, solve
@@ -29,6 +30,7 @@ TASKS = (("end_17", (0.005, 0.01, 0.0)), ("end_16", (-0.005, 0.0, 0.005)))
 RATIOS = tuple(10.0**power for power in range(13))
 DAMPING = 1e-12  # mink's and pink's default
 SOLVER = "daqp"
+SLACK_SOLVERS = (SOLVER, "quadprog")  # one that stops at a tolerance, and one that knows only rounding
 
 QP_ALONE = SolveOptions(closed_form_first=False, polish=False)
 
@@ -36,6 +38,7 @@ ORTHOGONAL = "orthogonal factors"
 PINV = "normal equations, pinv"
 DAMPED = "normal equations, damped"
 QP = f"QP, {SOLVER}"
+SLACK = "slack QP, {}"
 
 
 @dataclass(frozen=True)
@@ -99,11 +102,17 @@ def by_qp(*levels: Level) -> Array:
     return _found(solve(IKProblem(levels), SOLVER, QP_ALONE))
 
 
+def by_slack_qp(solver: str, level: Level) -> Array:
+    """The least of sᵀWs + damping ‖dθ‖² subject to J dθ + s = dX*: `by_damping` without the product JᵀWJ `(m,)`."""
+    return _found(solve(IKProblem([level]), solver, SolveOptions("slack", damping=DAMPING)))
+
+
 METHODS: dict[str, Callable[[Level], Array]] = {
     ORTHOGONAL: by_orthogonal_factors,
     PINV: by_pinv,
     DAMPED: by_damping,
     QP: by_qp,
+    **{SLACK.format(solver): partial(by_slack_qp, solver) for solver in SLACK_SOLVERS},
 }
 
 
@@ -115,7 +124,7 @@ def measure() -> list[Row]:
     def judge(method: str, ratio: float | None, answer: Callable[[], Array]) -> Row:
         try:
             dtheta = answer()
-        except (StepNotFoundError, np.linalg.LinAlgError) as error:
+        except (StepNotFoundError, SolverUnavailableError, np.linalg.LinAlgError) as error:
             return Row(method, ratio, failure=str(error))
         if not np.isfinite(dtheta).all():
             return Row(method, ratio, failure="values that are not finite")

@@ -1,7 +1,7 @@
 r"""A table, as CSV for programs, LaTeX (booktabs) for papers and Markdown for people, from the same cells.
 
 The LaTeX is a bare `tabular`, or a `longtable` where it is longer than a page, to be put into the reader's own document
-with `\usepackage{booktabs,longtable,amssymb}`.
+with `\usepackage{booktabs,longtable,textcomp,amssymb}`.
 """
 
 import csv
@@ -9,7 +9,7 @@ import io
 import math
 from dataclasses import dataclass
 
-from pylatexenc.latexencode import unicode_to_latex
+from paper_repro.latex import latex
 
 Cell = str | float | int | bool | None
 
@@ -110,4 +110,4 @@ def _line(cells: list[str]) -> str:
 
 
 def _latex_line(cells: list[str]) -> str:
-    return " & ".join(unicode_to_latex(cell.replace("`", ""), unknown_char_policy="keep") for cell in cells) + r" \\"
+    return " & ".join(map(latex, cells)) + r" \\"

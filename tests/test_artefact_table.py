@@ -5,6 +5,7 @@ import io
 
 import pytest
 
+from paper_repro.latex import latex
 from paper_repro.table import PAGE, Column, Table
 
 COLUMNS = (
@@ -15,7 +16,7 @@ COLUMNS = (
     Column("why", "why", width="4cm"),
 )
 TABLE = Table(
-    COLUMNS, (("daqp", 1.23456789e-13, 60, True, "a | b & 50 %"), ("osqp", None, 0, False, "x_1 → θ")), "Notes *here*."
+    COLUMNS, (("daqp", 1.23456789e-13, 60, True, "a | b & 50 %"), ("osqp", None, 0, False, "max_step → θ")), "Notes *here*."
 )
 
 
@@ -37,7 +38,7 @@ def test_markdown_has_one_line_a_row_and_escapes_what_would_end_a_cell():
     assert lines[0] == "| solver | ‖dθ‖ error [–] | steps | wound | why |"
     assert lines[1] == "| --- | ---: | ---: | --- | --- |"
     assert lines[2] == r"| daqp | 1.2e-13 | 60 | yes | a \| b & 50 % |"
-    assert lines[3] == "| osqp | – | 0 | no | x_1 → θ |"
+    assert lines[3] == "| osqp | – | 0 | no | max_step → θ |"
     assert lines[-1] == "Notes *here*."
 
 
@@ -46,9 +47,24 @@ def test_latex_uses_booktabs_and_escapes_what_tex_would_read():
     assert text.startswith("\\begin{tabular}{lrrlp{4cm}}\n\\toprule\n")
     assert text.count("\\\\") == 3
     assert r"a | b \& 50 \%" in text
-    assert r"x\_1" in text
+    assert r"max\_step" in text
     assert "θ" not in text
     assert text.endswith("\\bottomrule\n\\end{tabular}\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("J_aᵀ", r"J\ensuremath{_{a}}\ensuremath{^{\mathsf{T}}}"),
+        ("dX_v*", r"dX\ensuremath{_{v}}*"),
+        ("e^{i−1}", r"e\ensuremath{^{i\ensuremath{-}1}}"),
+        ("w_1^(k+1)", r"w\ensuremath{_{1}}\ensuremath{^{k+1}}"),
+        ("hinge_order & `min_distance` 5 %", r"hinge\_order \& min\_distance 5 \%"),
+        ("\u4e00", r"{\bfseries ?}"),
+    ],
+)
+def test_symbols_get_indices_and_names_keep_their_underscores(text, expected):
+    assert latex(text) == expected
 
 
 def test_a_table_longer_than_a_page_may_break():

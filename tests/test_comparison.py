@@ -16,6 +16,7 @@ from prioritized_ik.solvers.backends import registry
 from prioritized_ik.solvers.backends.protocol import StageResult
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
+from prioritized_ik.solvers.lexicographic import FREE
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.winding.episode import Episode, wind
 from prioritized_ik.winding.settings import WindingSettings
@@ -88,7 +89,7 @@ def test_the_sample_holds_free_and_constrained_steps_of_the_whole_episode(folder
     assert len(sample) == 12
     assert {item.free for item in sample} == {True, False}
     for item in sample:
-        assert item.free == (item.problem.relative_violation(item.dtheta) <= running.FREE)
+        assert item.free == (item.problem.relative_violation(item.dtheta) <= FREE)
 
 
 def test_every_solver_replays_and_drives_and_so_does_mink() -> None:

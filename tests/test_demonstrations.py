@@ -1,6 +1,7 @@
 """The demonstrations show what they claim, and say so when a solver fails."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +40,15 @@ def ratios(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, Any
     return shown(tmp_path_factory.mktemp("ratio"), "weight-ratio")
 
 
+def shown_distance(value: float | None) -> str:
+    return "fails" if value is None else f"{value:.0e}"
+
+
 def distances(rows: list[dict[str, Any]], method: str, quantity: str = "dtheta") -> Array:
     """By ratio, from 1 to 1e12."""
     found = [row for row in rows if row["method"] == method and row["ratio"] is not None]
     assert [row["ratio"] for row in found] == [10.0**power for power in range(13)]
-    return np.array([row[quantity] for row in found])
+    return np.array([row[quantity] for row in found], dtype=float)  # NaN where there is no answer
 
 
 def test_every_solver_of_ours_returns_the_least_norm(norms: tuple[str, dict[str, Any]]) -> None:
@@ -148,6 +153,25 @@ def test_by_normal_equations_they_do_not(method: str, ratios: tuple[str, dict[st
     assert found[-1] > 0.1
 
 
+def test_by_the_slack_qp_residuals_follow_where_the_step_does_not(ratios: tuple[str, dict[str, Any]]) -> None:
+    method = weight_ratio.SLACK.format("quadprog")
+    first = distances(ratios[1]["rows"], method, "level_1")
+    assert first[3:] / first[2:-1] == pytest.approx(0.1, rel=0.1)
+    steps = distances(ratios[1]["rows"], method)
+    assert steps[3] < 2e-3
+    assert steps[6:].max() / steps[6:].min() < 10.0  # no longer better, but, unlike by normal equations, not worse either
+    assert 1e-6 < steps[-1] < 1e-2
+
+
+def test_a_solver_that_is_not_installed_is_a_method_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    method = weight_ratio.SLACK.format("none")
+    monkeypatch.setattr(weight_ratio, "RATIOS", (1.0,))
+    monkeypatch.setitem(weight_ratio.METHODS, method, partial(weight_ratio.by_slack_qp, "none"))
+    (row,) = [row for row in weight_ratio.measure() if row.method == method]
+    assert row.dtheta is None
+    assert row.failure.startswith("unknown solver 'none'")
+
+
 def test_strict_levels_by_the_qp_need_no_ratio(ratios: tuple[str, dict[str, Any]]) -> None:
     (strict,) = [row for row in ratios[1]["rows"] if row["ratio"] is None]
     assert strict["method"] == weight_ratio.QP
@@ -171,7 +195,7 @@ def test_the_json_rows_of_weight_ratio_hold_what_its_tables_show(ratios: tuple[s
     for table, quantity in zip(tables, QUANTITIES, strict=True):
         for ratio in weight_ratio.RATIOS:
             (line,) = [line.split() for line in table.splitlines() if line.split()[:1] == [f"{ratio:.0e}"]]
-            assert line[1:] == [f"{row[quantity]:.0e}" for row in rows if row["ratio"] == ratio]
+            assert line[1:] == [shown_distance(row[quantity]) for row in rows if row["ratio"] == ratio]
         (line,) = [line.split() for line in table.splitlines() if line.strip().startswith("strict levels")]
         assert line[2:] == [f"{rows[-1][quantity]:.0e}"]
 
@@ -181,8 +205,8 @@ def test_the_output_names_where_each_method_breaks_down(ratios: tuple[str, dict[
     for method in weight_ratio.METHODS:
         found = distances(content["rows"], method)
         (line,) = [line for line in output.splitlines() if line.startswith(f"{method}: closest at ratio")]
-        assert f"{weight_ratio.RATIOS[int(np.argmin(found))]:.0e}, to {found.min():.0e}" in line
-        assert line.endswith("still falling there." if found.argmin() == 12 else "rounding takes over beyond.")
+        assert f"{weight_ratio.RATIOS[int(np.nanargmin(found))]:.0e}, to {np.nanmin(found):.0e}" in line
+        assert line.endswith("still falling there." if np.nanargmin(found) == 12 else "rounding takes over beyond.")
 
 
 def test_a_method_without_an_answer_is_shown_as_failing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,7 +216,8 @@ def test_a_method_without_an_answer_is_shown_as_failing(monkeypatch: pytest.Monk
     monkeypatch.setitem(weight_ratio.METHODS, weight_ratio.PINV, singular)
     result = call("weight-ratio")
     assert result.exit_code == 0, result.output
-    assert result.output.count("fails") == 3 * 13
+    rows = weight_ratio.measure()
+    assert result.output.count("fails") == 3 * sum(row.dtheta is None for row in rows) >= 3 * 13
     assert f"{weight_ratio.PINV}: no answer at any ratio." in result.output
     assert f"{weight_ratio.PINV}, ratio 1e+03: Singular matrix" in result.output
 

@@ -505,7 +505,7 @@ def test_a_backend_of_whole_hierarchies_cannot_solve_the_damped_qp():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"formulation": "weighted"}, "unknown formulation 'weighted'; choose one of: lexicographic, damped"),
+        ({"formulation": "weighted"}, "unknown formulation 'weighted'; choose one of: lexicographic, damped, slack"),
         ({"damping": -1.0}, "damping is -1.0; expected a finite number of at least 0"),
         ({"rank_tolerance": 0.0}, "rank_tolerance is 0.0; expected a number above 0 and below 1"),
         ({"accuracy": 1.0}, "accuracy is 1.0; expected a number above 0 and below 1"),

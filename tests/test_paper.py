@@ -63,6 +63,7 @@ def test_the_three_forms_of_a_table_have_the_same_rows_and_columns(made, artefac
         len(rows[0]) - 1
     ] * len(rows)
     assert body.isascii()
+    assert "bfseries ?" not in body
 
 
 def test_the_report_needs_no_other_file(made):

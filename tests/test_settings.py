@@ -93,7 +93,7 @@ def test_links_may_stop_anywhere_if_contacts_are_off():
 OPTIONS = {
     "formulation": (
         {"formulation": "sequential"},
-        "unknown formulation 'sequential'; choose one of: lexicographic, damped",
+        "unknown formulation 'sequential'; choose one of: lexicographic, damped, slack",
     ),
     "damping": ({"damping": -1.0}, r"damping is -1\.0"),
     "rank tolerance 0": ({"rank_tolerance": 0.0}, r"rank_tolerance is 0\.0"),

@@ -11,7 +11,8 @@ from functools import partial
 from typing import cast
 
 from prioritized_ik.errors import InfeasibleError, InputError, StepNotFoundError
-from prioritized_ik.problem import IKProblem, Level, step_scale
+from prioritized_ik.problem import IKProblem, step_scale
+from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.protocol import AnyBackend, Backend, StageResult, WholeBackend
 from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend
 from prioritized_ik.solvers.certificate import Proof
@@ -20,11 +21,14 @@ from prioritized_ik.solvers.cones import directions_left
 from prioritized_ik.solvers.conflict import find_conflict
 from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.polish import Polished, polish
-from prioritized_ik.solvers.stages import Room, Stage, damped_stage, level_stage, reference_stage
+from prioritized_ik.solvers.stages import Room, Stage, damped_stage, level_stage, reference_stage, slack_stage
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.validation import Array, fraction, non_negative, one_of
 
-FORMULATIONS = ("lexicographic", "damped")
+FORMULATIONS = ("lexicographic", "damped", "slack")
+
+#: Those that are one QP, solved as it stands; the other is a fold over stages.
+ONE_QP = {"damped": damped_stage, "slack": slack_stage}
 
 #: A step may break a row by this fraction of its own size; beyond, it is not accepted.
 ACCEPTED_VIOLATION = 1e-6
@@ -41,10 +45,11 @@ class SolveOptions:
     """How to solve.
 
     Attributes:
-        formulation: `"lexicographic"`, exact; `"damped"`, what mink and pink do, for comparison.
+        formulation: `"lexicographic"`, exact; for comparison `"damped"`, what mink and pink do, and `"slack"`, the same
+            optimum without squaring J.
         accuracy: asked of the solver, see `registry.get_backend`.
         rank_tolerance: relative to the largest singular value of J; shared by closed form and QP.
-        damping: of the damped formulation; mink's and pink's own default.
+        damping: of the damped and slack formulations; mink's and pink's own default.
         closed_form_first: whether a closed-form step that meets every row is the answer.
         polish: whether the solver's answer is made exact; its certificate is computed in any case.
         soften: names of hard bounds and rows that become the most important level instead, one of soft inequalities.
@@ -94,8 +99,8 @@ def joint_step(problem: IKProblem, backend: AnyBackend, options: SolveOptions) -
     clock = _Clock()
     if options.soften:
         problem = problem.softened(options.soften)
-    if options.formulation == "damped":
-        answer = _damped(problem, backend, clock, options)
+    if options.formulation in ONE_QP:
+        answer = _as_one_qp(problem, backend, clock, options)
         timings = clock.timings()
         hierarchy = Hierarchy(problem, options.rank_tolerance)
         options = replace(options, polish=False)
@@ -123,8 +128,8 @@ def joint_step(problem: IKProblem, backend: AnyBackend, options: SolveOptions) -
 def first_stage(problem: IKProblem, options: SolveOptions | None = None) -> Stage:
     """Return the first stage of `problem` to look at: its `problem` is a plain `qpsolvers.Problem`."""
     options = options or SolveOptions()
-    if options.formulation == "damped":
-        return damped_stage(problem, _only_level(problem), options.damping)
+    if options.formulation in ONE_QP:
+        return _one_qp(problem, options)
     return level_stage(Room.whole(Hierarchy(problem, options.rank_tolerance)))
 
 
@@ -188,11 +193,18 @@ def _fold(hierarchy: Hierarchy, backend: AnyBackend, clock: _Clock, *, exact: bo
     return f"last level: {result.message}" if result.x is None else stage.dtheta(result.x)
 
 
-def _damped(problem: IKProblem, backend: AnyBackend, clock: _Clock, options: SolveOptions) -> Array | str:
-    """Return dθ `(m,)` of the damped QP, or why there is none."""
+def _as_one_qp(problem: IKProblem, backend: AnyBackend, clock: _Clock, options: SolveOptions) -> Array | str:
+    """Return dθ `(m,)` of the one QP of a formulation that is one, or why there is none."""
+    formulation = options.formulation
     if _takes_all_levels(backend):
-        raise InputError(f"{backend.name} solves whole hierarchies; the damped formulation needs a solver of single QPs.")
-    stage = damped_stage(problem, _only_level(problem), options.damping)
+        raise InputError(
+            f"{backend.name} solves whole hierarchies; the {formulation} formulation needs a solver of single QPs."
+        )
+    if formulation == "slack" and abilities_of(backend.name).native:
+        raise InputError(
+            f"{backend.name} takes no equality rows; the slack formulation needs a solver called through qpsolvers."
+        )
+    stage = _one_qp(problem, options)
     result = clock.timed(partial(cast(Backend, backend).solve, stage))
     return result.message if result.x is None else stage.dtheta(result.x)
 
@@ -238,9 +250,13 @@ def _step(hierarchy: Hierarchy, dtheta: Array, status: StepStatus, proof: Proof 
     )
 
 
-def _only_level(problem: IKProblem) -> Level:
+def _one_qp(problem: IKProblem, options: SolveOptions) -> Stage:
+    formulation = options.formulation
     if len(problem.levels) != 1:
-        raise InputError(f"the damped formulation takes one level, not {len(problem.levels)}; use 'lexicographic'.")
-    if problem.levels[0].is_soft:
-        raise InputError("the damped formulation takes a level of kind 'equal', not 'at_most'; use 'lexicographic'.")
-    return problem.levels[0]
+        raise InputError(f"the {formulation} formulation takes one level, not {len(problem.levels)}; use 'lexicographic'.")
+    (level,) = problem.levels
+    if level.is_soft:
+        raise InputError(
+            f"the {formulation} formulation takes a level of kind 'equal', not 'at_most'; use 'lexicographic'."
+        )
+    return ONE_QP[formulation](problem, level, options.damping)

@@ -31,7 +31,8 @@ class Stage:
     """One QP in scaled variables x `(v,)`, and the way back: dθ = `origin` + `basis` @ x.
 
     Attributes:
-        problem: minimise ½ xᵀPx + qᵀx subject to Gx <= h: any qpsolvers backend can be called on it.
+        problem: minimise ½ xᵀPx + qᵀx subject to Gx <= h, and of a stage to be solved as it stands also Ax = b: any
+            qpsolvers backend can be called on it.
         origin: dθ at x = 0 `(m,)`.
         basis: `(m, v)`.
         unfelt: orthonormal joint directions `(m, v - costed)` that the cost does not feel.
@@ -164,6 +165,24 @@ def damped_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
     upper = np.concatenate([rows.upper, fixed.target, -fixed.target])
     qp = qpsolvers.Problem(hessian, linear, *((matrix, upper) if len(upper) else (None, None)))
     return Stage(qp, np.zeros(m), np.eye(m), np.zeros((m, 0)), 0, np.arange(len(upper)), as_it_stands=True)
+
+
+def slack_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
+    """Return the same optimum as a QP in x = (dθ, s): min sᵀWs + damping ‖dθ - r‖² with A dθ + s = b, solved as it stands.
+
+    Where `damped_stage` squares A, here the Hessian is diagonal and A a row of the constraints: no digit is lost before the
+    solver starts. Equalities are passed as such, A and b of the QP.
+    """
+    m, k, rows, fixed = problem.joint_count, len(level.target), problem.inequalities, problem.equalities
+    hessian = np.diag(np.concatenate([np.full(m, damping), level.weights]))
+    linear = np.concatenate([-damping * problem.reference, np.zeros(k)])
+    of_equalities = np.hstack([fixed.matrix, np.zeros((len(fixed.target), k))])
+    matrix = np.vstack([np.hstack([level.matrix, np.eye(k)]), of_equalities])
+    target = np.concatenate([level.target, fixed.target])
+    sides = (np.hstack([rows.matrix, np.zeros((len(rows.upper), k))]), rows.upper) if len(rows.upper) else (None, None)
+    qp = qpsolvers.Problem(hessian, linear, *sides, matrix, target)
+    basis = np.eye(m, m + k)
+    return Stage(qp, np.zeros(m), basis, np.zeros((m, 0)), 0, np.arange(len(rows.upper)), as_it_stands=True)
 
 
 def _scaled_stage(room: Room, felt: Array, unfelt: Array, target: Array, unit: float, far: float) -> Stage:

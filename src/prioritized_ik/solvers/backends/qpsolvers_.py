@@ -100,5 +100,7 @@ class QpsolversBackend:
 
 
 def _as_sparse(problem: qpsolvers.Problem) -> qpsolvers.Problem:
-    g = None if problem.G is None else scipy.sparse.csc_matrix(problem.G)
-    return qpsolvers.Problem(scipy.sparse.csc_matrix(problem.P), problem.q, g, problem.h)
+    hessian, g, a = (
+        None if matrix is None else scipy.sparse.csc_matrix(matrix) for matrix in (problem.P, problem.G, problem.A)
+    )
+    return qpsolvers.Problem(hessian, problem.q, g, problem.h, a, problem.b)
