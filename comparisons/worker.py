@@ -1,0 +1,250 @@
+"""What the isolated processes do: replay, drive, record. Every figure is computed from the problem, none told by a solver.
+
+A backend's calls go through a guard, which tells its errors and what is no answer from answers.
+"""
+
+import contextlib
+import functools
+import io
+import math
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from importlib.metadata import version
+
+import numpy as np
+
+from comparisons.isolation import ERROR, MEMORY, NAN, BadAnswerError
+from comparisons.jobs import COLD, MINK_ROWS, SLOW, WITNESS, WITNESS_SOLVER, Job
+from comparisons.mink_today import MinkSolver
+from comparisons.sample import Sampled, free_steps
+from comparisons.settings import ComparisonSettings
+from comparisons.tables import STEP_FIGURES, Record
+from prioritized_ik.errors import WitnessError
+from prioritized_ik.problem import IKProblem, Level
+from prioritized_ik.solvers.backends.protocol import AnyBackend, StageResult
+from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend, register
+from prioritized_ik.solvers.certificate import certify
+from prioritized_ik.solvers.hierarchy import Hierarchy
+from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION, joint_step
+from prioritized_ik.solvers.stages import Stage
+from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
+from prioritized_ik.solvers.witness import witness_step
+from prioritized_ik.validation import Array
+from prioritized_ik.winding.episode import Episode, Solve, wind
+from prioritized_ik.winding.metrics import measure
+from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
+
+Factories = Mapping[str, Callable[[float], AnyBackend]]
+
+Tell = Callable[[Record | None], None]
+
+NOT_FOUND = StepStatus.NOT_FOUND.name
+
+
+def record(tell: Tell, rank_tolerance: float, winding: WindingSettings, recorded: bytes | None) -> None:
+    """Tell the `episode` of a winding as bytes, and which of its steps are `free`.
+
+    Args:
+        tell: called with that.
+        rank_tolerance: of the closed form.
+        winding: how it is recorded.
+        recorded: the bytes of an episode that is there already, instead.
+    """
+    episode = wind(winding, on_step=lambda _: tell(None)) if recorded is None else episode_of(recorded)
+    tell({"episode": recorded or episode_bytes(episode), "free": free_steps(episode, rank_tolerance)})
+
+
+def replay(
+    tell: Tell, settings: ComparisonSettings, job: Job, winding: WindingSettings, sample: list[Sampled], extra: Factories
+) -> None:
+    """Tell the solver's version, then one record for each problem of `sample`, solved by the job's solver."""
+    _register(extra)
+    tell({"version": version_of(job.solver)})
+    solve = _solver(settings, job, winding)
+    for item in sample:
+        if job.start == COLD:
+            solve = _solver(settings, job, winding)
+        elif item.before is not None:
+            with contextlib.suppress(BadAnswerError):  # to a problem that is not asked for
+                solve(item.before, item.q)
+        try:
+            step = solve(item.problem, item.q)
+        except BadAnswerError as error:
+            tell(failed(item, error.failure, str(error)))
+            solve = _solver(settings, job, winding)
+        else:
+            tell(_judged(item, step, settings.rank_tolerance, job.repeat))
+
+
+def drive(tell: Tell, settings: ComparisonSettings, job: Job, winding: WindingSettings, extra: Factories) -> None:
+    """Tell the solver's version, then the record of a winding that the job's solver drives."""
+    _register(extra)
+    tell({"version": version_of(job.solver)})
+    failure: str | None = None
+    solve = None if job.solver == CLOSED_FORM else _solver(settings, job, winding)
+
+    def guarded(problem: IKProblem, q: Array) -> JointStep:
+        nonlocal failure
+        assert solve is not None
+        try:
+            return solve(problem, q)
+        except BadAnswerError as error:
+            failure = error.failure
+            return JointStep(None, StepStatus.NOT_FOUND, str(error))
+
+    episode = wind(winding, guarded if solve else None, on_step=lambda _: tell(None))
+    outcome = {"outcome": episode.outcome.name, "message": episode.message, "failure": failure}
+    tell({**asdict(measure(episode)), **outcome, "episode": episode_bytes(episode)})
+
+
+def failed(item: Sampled, failure: str | None, message: str) -> Record:
+    """Return the record of a problem to which there is no answer."""
+    return {**_blank(item), "status": NOT_FOUND, "message": message, "found": False, "failure": failure}
+
+
+def version_of(solver: str) -> str:
+    """Return the version of what a row names as its solver."""
+    if solver == CLOSED_FORM:
+        return ""
+    if solver == WITNESS:
+        return version("cvxpy")
+    if solver in MINK_ROWS:
+        return f"{version('mink')} / {get_backend(MINK_ROWS[solver]).version}"
+    return get_backend(solver, 0.01).version
+
+
+def episode_bytes(episode: Episode) -> bytes:
+    """Return the file of an episode."""
+    file = io.BytesIO()
+    episode.write(file)
+    return file.getvalue()
+
+
+def episode_of(content: bytes) -> Episode:
+    """Return the episode whose file is `content`."""
+    with tempfile.NamedTemporaryFile(suffix=".npz") as file:
+        file.write(content)
+        file.flush()
+        return Episode.load(file.name)
+
+
+def _solver(settings: ComparisonSettings, job: Job, winding: WindingSettings) -> Solve:
+    if job.solver in MINK_ROWS:
+        return MinkSolver(winding, MINK_ROWS[job.solver])
+    if job.solver == WITNESS:
+        return functools.partial(_witness, settings.rank_tolerance)
+    # Of a replayed step the solver's own answer is judged, which its refinement is part of; a driven one is polished in any
+    # case, so that slow solvers go without.
+    accuracy = ACCURACY if job.accuracy is None else job.accuracy
+    backend = _Guard(get_backend(job.solver, accuracy, refine=job.kind == "replay" or job.solver not in SLOW))
+    options = settings.options(job.formulation, accuracy)
+    return lambda problem, _: joint_step(problem, backend, options)
+
+
+def _witness(rank_tolerance: float, problem: IKProblem, q: Array) -> JointStep:
+    del q
+    started = time.perf_counter()
+    try:
+        dtheta = witness_step(Hierarchy(problem, rank_tolerance).cut_problem, WITNESS_SOLVER)
+    except WitnessError as error:
+        return JointStep(None, StepStatus.NOT_FOUND, str(error))
+    timings = Timings(build=0.0, solve=time.perf_counter() - started)
+    certificate = certify(problem, dtheta, rank_tolerance)
+    status = StepStatus.SOLVED if certificate.holds else StepStatus.UNCERTIFIED
+    return JointStep(dtheta, status, violation=certificate.violation, timings=timings, certificate=certificate)
+
+
+def _judged(item: Sampled, step: JointStep, rank_tolerance: float, repeat: int) -> Record:
+    """Return the figures of one step.
+
+    What is judged is the solver's own answer, before the polish; the certified step has columns of its own.
+    """
+    level = item.level
+    own = step.raw if step.raw is not None else step.dtheta
+    figures: Record = {
+        **_blank(item),
+        "status": step.status.name,
+        "message": step.message,
+        "found": step.found,
+        "build_s": step.timings.build,
+        "solve_s": step.timings.solve,
+        "polish_s": step.timings.polish,
+        "certified": step.status in (StepStatus.CLOSED_FORM, StepStatus.SOLVED),
+        "certificate": None if step.certificate is None else step.certificate.worst,
+        "repairs": step.repairs,
+    }
+    if step.dtheta is None or own is None:
+        figures["violation"] = step.violation if step.violation > ACCEPTED_VIOLATION else None
+        return figures
+    if repeat == 0:  # a certificate takes as long as a solve
+        started = time.perf_counter()
+        figures["own_certificate"] = certify(item.problem, own, rank_tolerance).worst
+        figures["certificate_s"] = time.perf_counter() - started
+    figures["dtheta"] = own.tolist()
+    figures["violation"] = item.problem.relative_violation(own)
+    figures["cost"] = level.cost(own)
+    if figures["certified"]:
+        figures["certified_dtheta"] = step.dtheta.tolist()
+        figures["certified_dx_error"] = _weighed(level, level.matrix @ (own - step.dtheta)) / (
+            _weighed(level, level.target) or 1.0
+        )
+    if item.free:
+        figures["dtheta_error"] = _relative(own, item.dtheta)
+        figures["dx_error"] = _relative(level.matrix @ own, item.dx)
+    return figures
+
+
+def _blank(item: Sampled) -> Record:
+    """Return the record of a step of which nothing is known but the problem."""
+    blank: Record = dict.fromkeys(STEP_FIGURES)
+    at_zero = item.level.cost(np.zeros_like(item.dtheta))
+    return {**blank, "step": item.step, "free": item.free, "certified": False, "repairs": 0, "cost_at_zero": at_zero}
+
+
+def _weighed(level: Level, displacement: Array) -> float:
+    """Return ‖W^½ dX‖ of a `displacement` dX."""
+    return math.sqrt(level.weights @ displacement**2)
+
+
+def _relative(value: Array, reference: Array) -> float:
+    size = float(np.linalg.norm(reference))
+    off = float(np.linalg.norm(value - reference))
+    return off / size if size else off
+
+
+def _register(factories: Factories) -> None:
+    for name, factory in factories.items():
+        register(name, factory)
+
+
+class _Guard:
+    """A backend whose errors, and answers that are none, are `BadAnswerError`."""
+
+    def __init__(self, backend: AnyBackend) -> None:
+        self._backend = backend
+        self.name = backend.name
+        self.version = backend.version
+        if hasattr(backend, "solve_whole"):
+            self.solve_whole = lambda hierarchy: self._checked(
+                lambda: backend.solve_whole(hierarchy), hierarchy.problem.joint_count
+            )
+
+    def solve(self, stage: Stage) -> StageResult:
+        """See `Backend.solve`."""
+        return self._checked(lambda: self._backend.solve(stage), stage.size)  # type: ignore[union-attr]
+
+    def _checked(self, call: Callable[[], StageResult], size: int) -> StageResult:
+        try:
+            result = call()
+            x = None if result.x is None else np.asarray(result.x, dtype=float)
+        except MemoryError as error:
+            raise BadAnswerError(MEMORY, f"{self.name} took more memory than it may") from error
+        except Exception as error:  # a backend never raises for a failure; one that does is not to stop the others
+            raise BadAnswerError(ERROR, f"{self.name} raised {type(error).__name__}: {error}") from error
+        if x is not None and x.shape != (size,):
+            raise BadAnswerError(ERROR, f"{self.name} returned shape {x.shape}; expected ({size},)")
+        if x is not None and not np.isfinite(x).all():
+            raise BadAnswerError(NAN, f"{self.name} returned values that are not finite")
+        return result
