@@ -15,10 +15,11 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $(READY)
 
-# The main job: every solver on the same windings; the table, and Parquet, Markdown and JSON in results/.
+# The main job: every solver on the same windings, measured anew; the table, and the report, Parquet, Markdown and JSON in
+# results/. One that was interrupted goes on with: .venv/bin/prioritized-ik compare --out results/compare
 compare: setup
 	mkdir -p results
-	$(BIN)/prioritized-ik compare --out results/compare --json results/compare.json
+	$(BIN)/prioritized-ik compare --fresh --out results/compare --json results/compare.json
 
 test: lint types unit
 
@@ -39,7 +40,7 @@ readme: setup
 
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
-	    --extra solvers --extra dev pyproject.toml --output-file requirements.lock
+	    --extra solvers --extra cluster --extra dev pyproject.toml --output-file requirements.lock
 
 clean:
 	rm -rf .venv results

@@ -165,7 +165,7 @@ class _Run:
 
     def _add_rows(self, kind: str, name: str, who: Record, told: tuple[Record, list[Record]]) -> None:
         where, rows = told
-        self.store.add(kind, name, [{**who, **where, "settings": self._digest, **row} for row in rows])
+        self.store.add(kind, name, [{**row, **where, **who, "settings": self._digest} for row in rows])
 
     def _who(self, job: Job) -> Record:
         who = {name: value for name, value in asdict(job).items() if name != "kind"}

@@ -49,6 +49,7 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._steps: polars.DataFrame | None = None
 
     @staticmethod
     def create(folder: Path, made_by: dict[str, Any], facts: dict[str, Any]) -> "Store":
@@ -107,8 +108,10 @@ class Store:
 
         Its columns are those of `tables`: `JOB`, `STEPS`, `ORIGIN` and `COMPARED`.
         """
-        order = ["case", "solver", "formulation", "accuracy", "start", "repeat", "step"]
-        return compared(self._table("steps").sort(order))
+        if self._steps is None:
+            order = ["case", "solver", "formulation", "accuracy", "start", "repeat", "step"]
+            self._steps = compared(self._table("steps").sort(order))
+        return self._steps
 
     def episodes(self) -> polars.DataFrame:
         """Return one row for each driven winding: columns `JOB`, `EPISODES` and `ORIGIN` of `tables`."""
@@ -148,6 +151,7 @@ class Store:
         Raises:
             InputError: it cannot be written.
         """
+        self._steps = None
         frame = polars.DataFrame(rows, schema=PARTS[kind], orient="row")
         self.write_file(f"parts/{kind}/{name}.parquet", frame.write_parquet)
 

@@ -1,6 +1,7 @@
 """The comparison judges by figures of its own: what disagrees or fails is shown as such, and stops nobody else."""
 
 import math
+import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import polars
 import pytest
 import saboteurs
+from click.testing import CliRunner
 
 from comparisons.cases import Case, cases_of
 from comparisons.jobs import COLD, MINK_ROWS, WARM, drives, replays
@@ -19,6 +21,7 @@ from comparisons.sample import chosen, free_steps, sampled
 from comparisons.settings import ComparisonSettings
 from comparisons.summary import Row, summarise
 from comparisons.tables import COMPARED, EPISODES, JOB, STEPS
+from prioritized_ik.cli import main
 from prioritized_ik.errors import InputError
 from prioritized_ik.solvers.backends import registry
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
@@ -136,6 +139,19 @@ def test_a_backend_that_cannot_be_sent_to_another_process_is_refused(
     registry.register("local", lambda accuracy: saboteurs.Saboteur("nan", accuracy))
     with pytest.raises(InputError, match="backend 'local' cannot be sent to a process of its own"):
         compared(tmp_path, folder, "local")
+
+
+def test_a_plugin_brings_backends_of_ones_own_and_strict_names_the_one_that_fails(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(registry, "_factories", {})
+    monkeypatch.delitem(sys.modules, "saboteur_plugin", raising=False)
+    arguments = ["compare", "--plugin", "saboteur_plugin", "--solvers", "daqp,nan", "--recorded", str(folder)]
+    few = ["--steps", "3", "--repeats", "1", "--no-drive", "--no-mink", "--formulation", "lexicographic"]
+    result = CliRunner().invoke(main, [*arguments, *few, "--strict"])
+    assert result.exit_code == 1, result.output
+    assert "nan 0 (lexicographic, accuracy 1e-08): fails: 3/3 steps (3 nan)" in result.output
+    assert "daqp 0" not in result.output
 
 
 def test_the_damped_formulation_is_another_problem(folder: Path, tmp_path: Path) -> None:
