@@ -124,7 +124,7 @@ def _comes(connection: Connection, seconds: float) -> bool:
         if _stopped.is_set():
             raise StoppedError
         if time.monotonic() >= deadline:
-            return False
+            return connection.poll()  # it may have come while this process had no turn
     return True
 
 

@@ -35,7 +35,7 @@ class Job:
         solver: who.
         formulation: of the problem.
         accuracy: asked of the solver; None where none is: the damped formulation and mink leave it to the solver.
-        start: `"cold"`, set up afresh for each problem, or `"warm"`, from the step before.
+        start: `"cold"`, set up afresh for each problem, or `"warm"`, from the step before, see `worker.replay`.
         repeat: which time, from 0.
     """
 

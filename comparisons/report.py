@@ -60,10 +60,10 @@ LEGEND = (
     "steps proven optimal once polished; certified dθ, their largest distance from the answer of most; same bits, how many "
     "are equal to that to the last bit. Mean: shifted geometric mean (shift 1 ms) of building and solving one step, one "
     "not found counting as the time limit; p50, p99: of the same. Of solvers that can start warm these are warm, and cold "
-    "is their p50 without. Polish: polish and certificate. Wound, turns (over the ideal), penetration (negative: clearance), "
-    "bend, drift: worst of the windings that the solver drove itself. Agrees: every step found, dθ, dX and cost gap within "
-    "1e-6, bound dX too (or what `abilities.py` states of solvers that stray), 99 % certified and equal within 1e-12, "
-    "every arm wound."
+    "is their p50 without. Polish: polish and certificate. Wound, turns (over the ideal), penetration (negative: "
+    "clearance), bend, drift: worst of the windings that the solver drove itself. Agrees: every step found, dθ, dX and "
+    "cost gap within 1e-6, bound dX too (or what `abilities.py` states of solvers that stray), 99 % certified and equal "
+    "within 1e-12, every arm wound."
 )
 
 _STYLES = {"agrees": "green", "reference": "cyan", "disagrees": "yellow", "fails": "red"}

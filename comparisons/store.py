@@ -17,6 +17,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -38,6 +39,7 @@ PARTS: dict[str, Schema] = {
 }
 FOLDERS = ("recorded", "driven", *(f"parts/{kind}" for kind in PARTS))
 SETTINGS = "settings.json"
+EPISODES_AT_HAND = 4
 
 
 class Store:
@@ -45,11 +47,13 @@ class Store:
 
     Attributes:
         folder: where they are; `file` of an episode starts from it.
+        recorded: returns the recorded `Episode` of a case, by name.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._steps: polars.DataFrame | None = None
+        self.recorded = lru_cache(EPISODES_AT_HAND)(self._recorded)
 
     @staticmethod
     def create(folder: Path, made_by: dict[str, Any], facts: dict[str, Any]) -> "Store":
@@ -130,7 +134,7 @@ class Store:
         """
         return self.recorded(case).problem(step)
 
-    def recorded(self, case: str) -> Episode:
+    def _recorded(self, case: str) -> Episode:
         """Return the recorded episode of a case."""
         return Episode.load(self.folder / f"recorded/{file_name(case)}.npz")
 

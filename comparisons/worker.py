@@ -16,7 +16,7 @@ from importlib.metadata import version
 import numpy as np
 
 from comparisons.isolation import ERROR, MEMORY, NAN, BadAnswerError
-from comparisons.jobs import COLD, MINK_ROWS, SLOW, WITNESS, WITNESS_SOLVER, Job
+from comparisons.jobs import MINK_ROWS, SLOW, WARM, WITNESS, WITNESS_SOLVER, Job
 from comparisons.mink_today import MinkSolver
 from comparisons.sample import Sampled, free_steps
 from comparisons.settings import ComparisonSettings
@@ -59,21 +59,23 @@ def record(tell: Tell, rank_tolerance: float, winding: WindingSettings, recorded
 def replay(
     tell: Tell, settings: ComparisonSettings, job: Job, winding: WindingSettings, sample: list[Sampled], extra: Factories
 ) -> None:
-    """Tell the solver's version, then one record for each problem of `sample`, solved by the job's solver."""
+    """Tell the solver's version, then one record for each problem of `sample`, solved by the job's solver.
+
+    A warm start is one from the step before, which is solved first and not measured, by a solver set up for that: so no
+    answer depends on which other steps are replayed, nor on an accident before.
+    """
     _register(extra)
     tell({"version": version_of(job.solver)})
-    solve = _solver(settings, job, winding)
     for item in sample:
-        if job.start == COLD:
-            solve = _solver(settings, job, winding)
-        elif item.before is not None:
+        solve = _solver(settings, job, winding)
+        if job.start == WARM and item.before is not None:
             with contextlib.suppress(BadAnswerError):  # to a problem that is not asked for
                 solve(item.before, item.q)
+                tell(None)
         try:
             step = solve(item.problem, item.q)
         except BadAnswerError as error:
             tell(failed(item, error.failure, str(error)))
-            solve = _solver(settings, job, winding)
         else:
             tell(_judged(item, step, settings.rank_tolerance, job.repeat))
 
