@@ -14,7 +14,7 @@ from prioritized_ik.cli import DISAGREES, writable_file, writable_folder
 
 Number = TypeVar("Number", int, float)
 
-FILE_WIDTH = 290  # of tables that do not go to a terminal
+FILE_WIDTH = 310  # of tables that do not go to a terminal
 
 
 @click.command()

@@ -60,24 +60,6 @@ def performance_profiles(times: ArrayLike, names: Sequence[str]) -> polars.DataF
     )
 
 
-def time_profiles(steps: polars.DataFrame, tolerance: float) -> polars.DataFrame:
-    """Return the performance profiles of time in the long table: a problem counts as solved within relative `tolerance`.
-
-    Times are of building and solving, medians over repeats; of starts the quicker. Names are "solver (formulation)", with
-    the accuracy where there are several.
-    """
-    several = steps["accuracy"].n_unique() - steps["accuracy"].is_null().any() > 1
-    name = polars.format("{} ({})", "solver", "formulation")
-    if several:
-        name = polars.format("{}{}", name, polars.format(" {}", "accuracy").fill_null(""))
-    right = polars.col("found") & (error() <= tolerance)
-    time = polars.when(right).then(polars.col("build_s") + polars.col("solve_s")).otherwise(float("inf"))
-    medians = steps.with_columns(name=name, time=time.fill_null(float("inf"))).group_by("name", *PROBLEM, "start")
-    best = medians.agg(polars.col("time").median()).group_by("name", *PROBLEM).agg(polars.col("time").min())
-    wide = best.pivot("name", index=list(PROBLEM), values="time").drop(*PROBLEM).fill_null(float("inf"))
-    return performance_profiles(wide.to_numpy(), wide.columns)
-
-
 def success(steps: polars.DataFrame, tolerances: Sequence[float] = TOLERANCES) -> polars.DataFrame:
     """Return for each solver, formulation and accuracy the `fraction` of steps right within each relative `tolerance`."""
     right = [(polars.col("found") & (error() <= tolerance)).fill_null(value=False).mean() for tolerance in tolerances]

@@ -27,7 +27,9 @@ COLUMNS: dict[str, Cell] = {
     "solver": lambda row: row.solver,
     "version": lambda row: row.version,
     "formulation": lambda row: row.formulation,
+    "accuracy": lambda row: "–" if row.accuracy is None else f"{row.accuracy:.0e}",
     "verdict": lambda row: row.verdict,
+    "right": _number("right_fraction", ".1%"),
     "dθ max": _number("free_dtheta_error_max", ".0e"),
     "dθ median": _number("free_dtheta_error_median", ".0e"),
     "dX max": _number("free_dx_error_max", ".0e"),
@@ -53,17 +55,17 @@ COLUMNS: dict[str, Cell] = {
 }
 
 LEGEND = (
-    "dθ, dX: relative error against Eqs. 12-15 on the free steps, on which no row binds. On the other, bound steps: "
-    "violation, the worst of a row, relative to the step; cost gap, level-1 cost above the best found, relative to the "
-    "cost of not moving; bound dX, of dX from that of the certified step, weighed by W, relative to what is asked; bound "
-    "dθ, median and max distance from the median answer, relative. All that is the solver's own answer. Certified: bound "
-    "steps proven optimal once polished; certified dθ, their largest distance from the answer of most; same bits, how many "
-    "are equal to that to the last bit. Mean: shifted geometric mean (shift 1 ms) of building and solving one step, one "
-    "not found counting as the time limit; p50, p99: of the same. Of solvers that can start warm these are warm, and cold "
-    "is their p50 without. Polish: polish and certificate. Wound, turns (over the ideal), penetration (negative: "
-    "clearance), bend, drift: worst of the windings that the solver drove itself. Agrees: every step found, dθ, dX and "
-    "cost gap within 1e-6, bound dX too (or what `abilities.py` states of solvers that stray), 99 % certified and equal "
-    "within 1e-12, every arm wound."
+    "Right: steps found with dθ and dX within 1e-6, dX where rows bind. dθ, dX: relative error against Eqs. 12-15 on the "
+    "free steps, on which no row binds. On the other, bound steps: violation, the worst of a row, relative to the step; "
+    "cost gap, level-1 cost above the best found, relative to the cost of not moving; bound dX, of dX from that of the "
+    "certified step, weighed by W, relative to what is asked; bound dθ, median and max distance from the median answer, "
+    "relative. All that is the solver's own answer. Certified: bound steps proven optimal once polished; certified dθ, "
+    "their largest distance from the answer of most; same bits, how many are equal to that to the last bit. Mean: "
+    "shifted geometric mean (shift 1 ms) of building and solving one step, one not found counting as the time limit; "
+    "p50, p99: of the same. Of solvers that can start warm these are warm, and cold is their p50 without. Polish: polish "
+    "and certificate. Wound, turns (over the ideal), penetration (negative: clearance), bend, drift: worst of the "
+    "windings that the solver drove itself. Agrees: every step found, dθ, dX and cost gap within 1e-6, bound dX too (or "
+    "what `abilities.py` states of solvers that stray), 99 % certified and equal within 1e-12, every arm wound."
 )
 
 _STYLES = {"agrees": "green", "reference": "cyan", "disagrees": "yellow", "fails": "red"}

@@ -9,6 +9,7 @@ from typing import Any, BinaryIO
 import polars
 
 from comparisons.origin import cpu_model
+from comparisons.profiles import success
 from comparisons.report import markdown
 from comparisons.settings import ComparisonSettings
 from comparisons.store import Store
@@ -25,10 +26,11 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def write_tables(store: Store, settings: ComparisonSettings, rows: list[Row]) -> None:
-    """Write `steps`, `episodes` and `rows` as one Parquet file each, and `table.md`, into the folder of a store."""
+    """Write `steps`, `episodes`, `success` and `rows` as one Parquet file each, and `table.md`, into a store's folder."""
     tables = {
         "steps": store.steps(),
         "episodes": store.episodes(),
+        "success": success(store.steps()),
         "rows": polars.DataFrame([asdict(row) for row in rows], infer_schema_length=None),
     }
     for name, table in tables.items():

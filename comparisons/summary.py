@@ -20,6 +20,9 @@ AGREES = 1e-6  # relative error of a free step, and level-1 cost above the best 
 CERTIFIED_ENOUGH = 0.99  # of the constrained steps, for a solver to agree
 SAME_STEP = 1e-12  # relative distance up to which two certified steps are one
 
+#: Formulations whose steps are certified, so that an error is known where rows bind too.
+KNOWN_RIGHT = ("lexicographic", "witness")
+
 TIME_LIMIT = 10.0  # [s]
 
 Key = tuple[str, str, float | None]  # of a row: solver, formulation, accuracy
@@ -46,7 +49,7 @@ class Row:
         step_status: how many replayed steps ended how, by `StepStatus`.
         not_found: replayed problems without an accepted answer, if only once.
         failures: of these, how many for which of `isolation.FAILURES`; of the others the solver itself said so.
-        right_fraction: steps found with an error (`profiles.error`) of at most `AGREES`.
+        right_fraction: steps found with an error (`profiles.error`) of at most `AGREES`, where that is known on every step.
         solve_time_p50_s, solve_time_p99_s: of building and solving one step, from a warm start where there is one; of each
             problem the median over repeats.
         solve_time_mean_s: their shifted geometric mean with shift `profiles.SHIFT`; one not found counts as the time limit.
@@ -140,6 +143,7 @@ def _row(key: Key, steps: polars.DataFrame, episodes: polars.DataFrame, time_lim
     times = per_problem(timed.filter("found"))
     missed = _problems(steps.filter(~polars.col("found")))
     counted = np.append(times, np.full(_problems(timed) - len(times), time_limit))
+    right = steps.select(right=(error() <= AGREES) & polars.col("found")).fill_null(value=False)
     statuses = dict(steps["status"].value_counts().iter_rows())
     failures = {kind: _problems(steps.filter(failure=kind)) for kind in FAILURES}
     known = polars.concat([steps["version"], episodes["version"]]).unique(maintain_order=True).to_list()
@@ -164,7 +168,7 @@ def _row(key: Key, steps: polars.DataFrame, episodes: polars.DataFrame, time_lim
         step_status={status.name: statuses.get(status.name, 0) for status in StepStatus},
         not_found=missed,
         failures={kind: count for kind, count in failures.items() if count},
-        right_fraction=_mean(steps.select(right=(error() <= AGREES) & polars.col("found")).fill_null(value=False), "right"),
+        right_fraction=_mean(right, "right") if formulation in KNOWN_RIGHT else None,
         solve_time_p50_s=_quantile(times, 0.5),
         solve_time_p99_s=_quantile(times, 0.99),
         solve_time_mean_s=shifted_geometric_mean(counted) if len(counted) else None,

@@ -183,7 +183,15 @@ def test_compare_writes_the_json_that_it_promises(compared: tuple[Path, Result])
 def test_compare_writes_parquet_markdown_report_and_episodes(compared: tuple[Path, Result]) -> None:
     folder, result = compared
     out = folder / "out"
-    files = {"settings.json", "steps.parquet", "episodes.parquet", "rows.parquet", "table.md", "report.html"}
+    files = {
+        "settings.json",
+        "steps.parquet",
+        "episodes.parquet",
+        "success.parquet",
+        "rows.parquet",
+        "table.md",
+        "report.html",
+    }
     assert {p.name for p in out.iterdir()} == files | {"parts", "recorded", "driven"}
     assert f"Report: {out / 'report.html'}" in result.output
     steps = polars.read_parquet(out / "steps.parquet")
