@@ -22,6 +22,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
+from prioritized_ik.errors import InputError
+
 CRASH, TIMEOUT, MEMORY, NAN, ERROR = FAILURES = ("crash", "timeout", "memory", "nan", "error")
 
 STARTING = 60.0  # [s] a process may take for its start on top of the time limit
@@ -102,15 +104,19 @@ def isolated(work: Callable[..., None], arguments: tuple[Any, ...], limits: Limi
 
 def prepare() -> None:
     """Say what the processes of this one import, and how many threads they use."""
-    _stopped.clear()
     # Libraries read these when they are imported.
     os.environ.update(dict.fromkeys(THREADS, "1"))
     multiprocessing.get_context("forkserver").set_forkserver_preload(["comparisons.worker"])
 
 
 def stop() -> None:
-    """End all isolated processes of this one, until `prepare` is called again."""
+    """End all isolated processes of this one, until `resume` is called."""
     _stopped.set()
+
+
+def resume() -> None:
+    """Let there be isolated processes again."""
+    _stopped.clear()
 
 
 def _comes(connection: Connection, seconds: float) -> bool:
@@ -130,7 +136,7 @@ def _comes(connection: Connection, seconds: float) -> bool:
 
 def _context() -> Any:
     if multiprocessing.current_process().daemon:
-        raise RuntimeError(
+        raise InputError(
             "this process is a daemon, which may not start others; start Dask workers with `dask worker --no-nanny`."
         )
     return multiprocessing.get_context("forkserver")

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from comparisons.isolation import stop
+from comparisons.isolation import resume, stop
 from prioritized_ik.errors import InputError
 
 CONNECTING = 10.0  # [s]
@@ -74,6 +74,7 @@ def spread_over(workers: int, scheduler: str = "") -> Iterator[Spread]:
         with _cluster(scheduler) as spread:
             yield spread
         return
+    resume()
     executor = ThreadPoolExecutor(workers)
     try:
         yield Spread(executor, lambda: workers)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from comparisons.isolation import Limits, LostError, StoppedError, isolated, prepare, stop
+from comparisons.isolation import Limits, LostError, StoppedError, isolated, prepare, resume, stop
 
 LIMITS = Limits(seconds=20.0, memory=2**28)
 Tell = Callable[[Any], None]
@@ -83,5 +83,8 @@ def test_work_that_nobody_waits_for_is_ended() -> None:
     work = isolated(count, (1, "hang"), LIMITS)
     assert next(work) == 0
     stop()
-    with pytest.raises(StoppedError):
-        next(work)
+    try:
+        with pytest.raises(StoppedError):
+            next(work)
+    finally:
+        resume()
