@@ -27,12 +27,13 @@ def command(out: Path, *more: str) -> list[str]:
 
 
 def figures(out: Path) -> tuple[polars.DataFrame, polars.DataFrame]:
-    """All rows that a folder holds, timings aside. Reads every file, so that an unreadable one is an error."""
+    """All rows that a folder holds, timings and revision aside. Reads every file, so that an unreadable one is an error."""
     store = Store(out)
     steps, episodes = store.steps(), store.episodes()
     for file in episodes["file"].drop_nulls():
         Episode.load(out / file)
-    return steps.drop(name for name in steps.columns if name.endswith("_s")), episodes
+    timings = [name for name in steps.columns if name.endswith("_s")]
+    return steps.drop(*timings, "revision"), episodes.drop("revision")
 
 
 @pytest.fixture(scope="module")
