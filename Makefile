@@ -15,10 +15,11 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $(READY)
 
-# The main job: every solver on the same windings; the table, and Parquet, Markdown and JSON in results/.
+# The main job: every solver on the same windings, measured anew; the table, and the report, Parquet, Markdown and JSON in
+# results/. One that was interrupted goes on with: .venv/bin/prioritized-ik compare --out results/compare
 compare: setup
 	mkdir -p results
-	$(BIN)/prioritized-ik compare --out results/compare --json results/compare.json
+	$(BIN)/prioritized-ik compare --fresh --out results/compare --json results/compare.json
 
 # Every table and figure of the paper, and the report, in results/paper/.
 paper: setup
@@ -36,14 +37,14 @@ types: setup
 unit: setup
 	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/python -m pytest
 
-# What the README shows: its table and its picture.
+# What the README shows: its tables and its picture.
 readme: setup
-	$(BIN)/prioritized-ik compare --readme README.md
+	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/prioritized-ik paper --out results/paper --readme README.md
 	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/prioritized-ik wind --tilt 0.3 --record docs/wound.png
 
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
-	    --extra solvers --extra report --extra dev pyproject.toml --output-file requirements.lock
+	    --extra solvers --extra report --extra cluster --extra dev pyproject.toml --output-file requirements.lock
 
 clean:
 	rm -rf .venv results

@@ -2,13 +2,19 @@
 
 import os
 import tempfile
+import webbrowser
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
+from typing import TypeVar
 
 import click
 
 from prioritized_ik.cli import DISAGREES, writable_file, writable_folder
 
-FILE_WIDTH = 260  # of tables that do not go to a terminal
+Number = TypeVar("Number", int, float)
+
+FILE_WIDTH = 310  # of tables that do not go to a terminal
 
 
 @click.command()
@@ -40,97 +46,185 @@ def solvers() -> None:
 @click.option("--solvers", "names", help="Backends, separated by commas; all installed unless given.")
 @click.option("--directions", default="up,down,front,back", help="Where the object comes from, separated by commas.")
 @click.option("--formulation", default="lexicographic,damped", help="Formulations to replay, separated by commas.")
-@click.option("--steps", default=60, help="Recorded steps to replay of each direction.")
-@click.option("--link", default=6, help="The link that touches the object first.")
-@click.option("--tilt", default=0.0, help="Tilt of the object's axis [rad].")
-@click.option("--accuracy", default=1e-8, help="Asked of every solver, in the stages' scaled variables.")
+@click.option("--steps", default=60, help="Recorded steps to replay of each winding.")
+@click.option("--links", default="17", help="Number of links; several, separated by commas, are swept, as in what follows.")
+@click.option("--link", default="6", help="The link that touches the object first.")
+@click.option("--object", "shapes", default="cylinder", help="cylinder, capsule or sphere.")
+@click.option("--diameter", default="0.14", help="Diameter of the object [m].")
+@click.option("--tilt", default="0.0", help="Tilt of the object's axis [rad].")
+@click.option("--seeds", default="", help="Seeds of random initial postures, 1,2 or 0:50; straight unless given.")
+@click.option("--accuracy", default="1e-08", help="Asked of every solver, in the stages' scaled variables.")
+@click.option("--recorded", default="", help="Folder of your own episodes (wind --save) and QPs (Problem.save), instead.")
 @click.option("--rank-tolerance", default=1e-4, help="Shared by all: singular values below this fraction count as zero.")
 @click.option("--damping", default=1e-12, help="Of the damped and slack formulations.")
 @click.option("--closed-form-first/--no-closed-form-first", default=False, help="Skip the QP where no row binds.")
+@click.option("--repeats", default=2, help="Solve each problem so often; times are medians.")
+@click.option("--drive/--no-drive", default=True, help="Let every solver wind the arm itself as well.")
+@click.option("--mink/--no-mink", default=True, help="Compare with mink.solve_ik.")
 @click.option(
     "--witness/--no-witness", default=False, help="Also solve the recorded steps by the problem written in CVXPY."
 )
-@click.option("--workers", type=int, help="Processes.  [default: one a core]")
-@click.option("--out", type=click.Path(file_okay=False), help="Folder for Parquet, Markdown and the recorded episodes.")
+@click.option("--plugin", multiple=True, help="Module that registers backends of your own; can be repeated.")
+@click.option("--time-limit", default=10.0, help="Of one problem [s].")
+@click.option("--memory-limit", default=2.0, help="Of one solver [GiB].")
+@click.option("--workers", type=int, help="Processes at the same time.  [default: one a core]")
+@click.option("--scheduler", default="", help="Address of a Dask scheduler to spread over, such as tcp://host:8786.")
+@click.option("--out", type=click.Path(file_okay=False), help="Folder for results, report and recorded episodes.")
+@click.option("--resume/--fresh", default=True, help="Do what the folder lacks, or delete its results first.")
+@click.option("--open", "show_page", is_flag=True, help="Open the report in a browser.")
 @click.option("--json", "json_file", type=click.Path(dir_okay=False), help="File for what the table shows, as JSON.")
-@click.option("--readme", type=click.Path(exists=True, dir_okay=False), help="Put the table between this file's markers.")
 @click.option("--strict", is_flag=True, help="Exit with 1 if a lexicographic row does not agree.")
 def compare(
     names: str | None,
     directions: str,
     formulation: str,
     steps: int,
-    link: int,
-    tilt: float,
-    accuracy: float,
+    links: str,
+    link: str,
+    shapes: str,
+    diameter: str,
+    tilt: str,
+    seeds: str,
+    accuracy: str,
+    recorded: str,
     rank_tolerance: float,
     damping: float,
     closed_form_first: bool,
+    repeats: int,
+    drive: bool,
+    mink: bool,
     witness: bool,
+    plugin: tuple[str, ...],
+    time_limit: float,
+    memory_limit: float,
     workers: int | None,
+    scheduler: str,
     out: str | None,
+    resume: bool,
+    show_page: bool,
     json_file: str | None,
-    readme: str | None,
     strict: bool,
 ) -> None:
-    """Run every solver on the same winding episodes and compare it with Eqs. 12-14 and with the others."""
+    """Run every solver on the same windings and compare it with Eqs. 12-14 and with the others.
+
+    Each solver works in a process of its own: one that crashes, hangs, eats memory or returns NaN fails alone. With
+    --out, a run that was interrupted goes on where it was.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from comparisons.report import LEGEND, show
-    from comparisons.results import around_table, facts, replace_table, write_folder, write_json
-    from comparisons.run import run
+    from comparisons.page import write_page
+    from comparisons.plugins import load_plugins
+    from comparisons.report import LEGEND, show, show_qps
+    from comparisons.results import write_json, write_tables
+    from comparisons.run import facts, run
     from comparisons.settings import ComparisonSettings
+    from comparisons.store import Store
     from comparisons.summary import summarise
+    from prioritized_ik.errors import InputError
 
+    load_plugins(plugin)
     settings = ComparisonSettings(
         solvers=_split(names or ""),
         directions=_split(directions),
         formulations=_split(formulation),
         steps=steps,
-        link=link,
-        tilt=tilt,
-        accuracy=accuracy,
+        links=_numbers("links", links, int),
+        link=_numbers("link", link, int),
+        shapes=_split(shapes),
+        diameter=_numbers("diameter", diameter, float),
+        tilt=_numbers("tilt", tilt, float),
+        seeds=_seeds(seeds),
+        accuracy=_numbers("accuracy", accuracy, float),
+        recorded=recorded,
         rank_tolerance=rank_tolerance,
         damping=damping,
         closed_form_first=closed_form_first,
+        repeats=repeats,
+        drive=drive,
+        mink=mink,
         witness=witness,
+        time_limit=time_limit,
+        memory_limit=memory_limit,
         workers=workers if workers is not None else os.cpu_count() or 1,
+        scheduler=scheduler,
     )
     if json_file is not None:
         writable_file(json_file)
-    if readme is not None:
-        around_table(Path(writable_file(readme)))
+    if show_page and out is None:
+        raise InputError("--open shows the report, which needs a folder to be in; give one with --out.")
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         if out is not None:
             folder = Path(out)
             existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
             writable_folder(existing)
-            folder.mkdir(parents=True, exist_ok=True)
+            if recorded and Path(recorded).resolve().is_relative_to(folder.resolve()):
+                raise InputError(f"--recorded {recorded!r} lies in --out {out!r}, which is written; choose another folder.")
+            if not resume:
+                Store.clear(folder)
         bars = Console(stderr=True)
         columns = (TextColumn("{task.description:<32}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         with Progress(*columns, console=bars, disable=not bars.is_terminal, transient=True) as progress:
             bar = progress.add_task("start")
-            records, episodes = run(
+            store = run(
                 settings,
                 folder,
                 lambda what, done, total: progress.update(bar, description=what, completed=done, total=total),
+                keep_driven=out is not None,
             )
-        rows = summarise(records, episodes)
+        rows = summarise(store.steps(), store.episodes(), settings.time_limit)
+        own_qps = store.qps()
         if out is not None:
-            write_folder(folder, settings, rows, records, episodes)
+            write_tables(store, settings, rows)
+            page = write_page(folder, store, rows)
     if json_file is not None:
-        write_json(Path(json_file), facts(settings, rows))
-    if readme is not None:
-        replace_table(Path(readme), settings, rows)
-    show(rows, Console(width=None if os.isatty(1) else FILE_WIDTH))
+        write_json(Path(json_file), {**facts(settings), "rows": [asdict(row) for row in rows]})
+    console = Console(width=None if os.isatty(1) else FILE_WIDTH)
+    show(rows, console)
     click.echo(LEGEND)
+    show_qps(own_qps, console)
+    for solver, accuracies in settings.left_out().items():
+        values = ", ".join(f"{accuracy:g}" for accuracy in accuracies)
+        click.echo(f"{solver} goes without accuracy {values}, which is finer than it reaches.", err=True)
     if out is not None:
         click.echo(f"Written to {out}.")
-    if strict and any(row.must_agree and row.verdict != "agrees" for row in rows):
+        click.echo(f"Report: {page}")
+        if show_page:
+            webbrowser.open(page.absolute().as_uri())
+    disagreeing = [row for row in rows if row.must_agree and row.verdict != "agrees"]
+    if strict and disagreeing:
+        for row in disagreeing:
+            asked = "" if row.accuracy is None else f", accuracy {row.accuracy:g}"
+            click.echo(f"{row.solver} {row.version} ({row.formulation}{asked}): {row.verdict}", err=True)
         raise SystemExit(DISAGREES)
 
 
 def _split(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def _numbers(name: str, text: str, kind: Callable[[str], Number]) -> tuple[Number, ...]:
+    """Return the numbers in `text`, separated by commas."""
+    from prioritized_ik.errors import InputError
+
+    try:
+        return tuple(kind(part) for part in _split(text))
+    except ValueError:
+        raise InputError(f"{name} is {text!r}; expected numbers separated by commas.") from None
+
+
+def _seeds(text: str) -> tuple[int, ...]:
+    """Return the seeds in `text`: numbers and ranges such as 0:50, without their ends."""
+    from prioritized_ik.errors import InputError
+
+    seeds: list[int] = []
+    for part in _split(text):
+        first, colon, end = part.partition(":")
+        try:
+            seeds += range(int(first), int(end)) if colon else [int(first)]
+        except ValueError:
+            raise InputError(f"seeds is {text!r}; expected numbers or ranges such as 0:50, separated by commas.") from None
+    if text.strip() and not seeds:
+        raise InputError(f"seeds is {text!r}, which holds none; expected numbers or ranges such as 0:50.")
+    return tuple(seeds)

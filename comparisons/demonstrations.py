@@ -159,7 +159,8 @@ def _write(json_file: str | None, case: dict[str, Any], rows: list[Any], solver_
         return
     from dataclasses import asdict
 
-    from comparisons.results import cpu_model, versions, write_json
+    from comparisons.origin import cpu_model, versions
+    from comparisons.results import write_json
 
     content = {"versions": versions(solver_versions), "cpu": {"model": cpu_model(), "blas_threads": 1}, "case": case}
     write_json(Path(json_file), {**content, "rows": [asdict(row) for row in rows]})

@@ -1,166 +1,276 @@
-"""Runs a comparison: records one episode a direction, then replays and drives with every solver, in processes.
+"""Runs a comparison: records the cases, then replays and drives them with every solver, and puts it all into a store.
 
 *Replay*: every solver is given the same recorded problems. *Drive*: every solver winds the arm itself.
+
+The pieces of work are spread (`spread`) over this machine or a cluster; each is done in an isolated process there
+(`isolation`) and comes back as records, which only this process writes. What the store has already is not done again.
 """
 
-import functools
-import time
+import hashlib
+import os
+import pickle
 from collections.abc import Callable
-from concurrent.futures import Future, as_completed
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from comparisons.judging import Sampled, judge, sample
-from comparisons.mink_today import MinkSolver
-from comparisons.processes import one_thread_pool
-from comparisons.settings import MINK_SOLVERS, RECORDER, ComparisonSettings
-from prioritized_ik.errors import WitnessError
-from prioritized_ik.problem import IKProblem
+from comparisons import origin, worker
+from comparisons.cases import Case, cases_of, file_name, own_files
+from comparisons.isolation import Limits, LostError, isolated, prepare
+from comparisons.jobs import Job, drives, replays
+from comparisons.own_qps import load_qp, measure_qps
+from comparisons.sample import Sampled, chosen, sampled
+from comparisons.settings import ComparisonSettings
+from comparisons.spread import Piece, spread_over
+from comparisons.store import Store
+from comparisons.tables import EPISODES, Record
+from prioritized_ik.errors import InputError, PrioritizedIkError
 from prioritized_ik.solvers.backends.abilities import abilities_of
-from prioritized_ik.solvers.backends.registry import get_backend
-from prioritized_ik.solvers.certificate import certify
-from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.solvers.lexicographic import joint_step
-from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
-from prioritized_ik.solvers.witness import witness_step
-from prioritized_ik.validation import Array
-from prioritized_ik.winding.episode import Episode, Solve, wind
-from prioritized_ik.winding.metrics import measure
-from prioritized_ik.winding.settings import CLOSED_FORM
+from prioritized_ik.solvers.backends.registry import get_backend, registered
+from prioritized_ik.winding.episode import Outcome
+from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
-Record = dict[str, Any]
 Progress = Callable[[str, int, int], None]  # what is done, how many are, of how many
 
-#: Solver names of mink's rows.
-MINK_ROWS = {f"mink ({solver})": solver for solver in MINK_SOLVERS}
+#: A job ends after as many problems in a row that cost a process, each perhaps a whole time limit; the rest count as
+#: failed.
+IN_A_ROW = 3
 
-#: The witness's row: the problem written out in CVXPY, with the solver that it calls.
-WITNESS_SOLVER = "CLARABEL"
-WITNESS = f"cvxpy ({WITNESS_SOLVER.lower()})"
+SAMPLES = 4  # cases whose problems are kept in memory
 
-#: These take longest, so they start first.
-_SLOW = (WITNESS, "ecos", "clarabel", "scs", "highs", "cvxopt")
-
-
-@dataclass(frozen=True)
-class Job:
-    """One thing a worker does: replay all recorded problems, or drive one direction."""
-
-    kind: str  # "replay" or "drive"
-    solver: str
-    formulation: str
-    directions: tuple[str, ...]
-
-    @property
-    def label(self) -> str:
-        """What the progress bar shows."""
-        return f"{self.kind} {self.solver}" + ("" if self.formulation == "lexicographic" else f" {self.formulation}")
+#: What does not decide figures but only where and how fast they are made.
+WHERE = ("workers", "scheduler", "recorded")
 
 
-def run(settings: ComparisonSettings, folder: Path, progress: Progress) -> tuple[list[Record], list[Record]]:
-    """Return the replayed steps and the driven episodes, one record each, in a fixed order.
+class RunError(PrioritizedIkError):
+    """A comparison cannot go on."""
+
+
+def run(settings: ComparisonSettings, folder: Path, progress: Progress, *, keep_driven: bool = True) -> Store:
+    """Return the store in `folder` once it holds everything that `settings` ask for.
 
     Args:
         settings: what to run.
-        folder: where the recorded episodes go, `<direction>.npz`.
-        progress: called as jobs end.
+        folder: where the results go, or are already in part.
+        progress: called as pieces of it end.
+        keep_driven: whether the episodes of driven windings, some 4 MB each, are kept.
+
+    Raises:
+        InputError: the folder holds results of other settings, or nobody answers at the scheduler's address.
+        RunError: a case cannot be recorded.
     """
-    with one_thread_pool(settings.workers) as pool:
-        recorded = [pool.submit(record_episode, settings, direction, folder) for direction in settings.directions]
-        for done, episode in enumerate(as_completed(recorded), 1):
-            episode.result()
-            progress("record", done, len(recorded))
-        todo = jobs(settings)
-        futures: dict[Future[list[Record]], Job] = {
-            pool.submit(replay if job.kind == "replay" else drive, settings, job, folder): job for job in todo
-        }
-        for done, future in enumerate(as_completed(futures), 1):
-            future.result()
-            progress(futures[future].label, done, len(todo))
-    results = [(job, future.result()) for future, job in futures.items()]
-    results.sort(key=lambda item: (item[0].kind, item[0].solver, item[0].formulation, item[0].directions))
-    return (
-        [record for job, records in results if job.kind == "replay" for record in records],
-        [record for job, records in results if job.kind == "drive" for record in records],
-    )
+    prepare()
+    run_ = _Run(settings, folder, keep_driven=keep_driven)
+    with spread_over(settings.workers, settings.scheduler) as spread:
+        for pieces in (run_.recordings(), run_.qps(), run_.replays_and_drives()):
+            total = len(pieces)
+            for done, piece in enumerate(spread.do(pieces), 1):
+                progress(piece.label, done, total)
+    return run_.store
 
 
-def jobs(settings: ComparisonSettings) -> list[Job]:
-    """Return everything to do, the longest first."""
-    todo = [
-        Job("replay", solver, formulation, settings.directions)
-        for solver in settings.solvers
-        for formulation in settings.formulations
-        if formulation == "lexicographic" or not abilities_of(solver).native  # a start helps nothing in a QP solved once
-    ]
-    todo += [Job("replay", name, "mink", settings.directions) for name in MINK_ROWS]
-    if settings.witness:
-        todo.append(Job("replay", WITNESS, "witness", settings.directions))
-    drivers = [(solver, "lexicographic") for solver in settings.solvers if "lexicographic" in settings.formulations]
-    drivers += [(CLOSED_FORM, "closed form"), *((name, "mink") for name in MINK_ROWS)]
-    todo += [Job("drive", name, formulation, (d,)) for name, formulation in drivers for d in settings.directions]
-    return sorted(todo, key=lambda job: _SLOW.index(job.solver) if job.solver in _SLOW else len(_SLOW))
+class _Run:
+    """What one run has to do, as pieces of work; those that the store has are left out."""
+
+    def __init__(self, settings: ComparisonSettings, folder: Path, *, keep_driven: bool) -> None:
+        self._settings = settings
+        self._keep_driven = keep_driven
+        self._extra = sendable(settings.solvers)
+        self._cases = {case.name: case for case in cases_of(settings)}
+        self.store = Store.create(folder, made_by(settings), facts(settings))
+        self._digest = self.store.digest()
+        self._limits = Limits(settings.time_limit, int(settings.memory_limit * 2**30))
+        self._sample = lru_cache(SAMPLES)(self._load_sample)
+
+    def recordings(self) -> list[Piece]:
+        """Return the pieces that record the cases."""
+        there = self.store.parts("recorded")
+        cases = [case for case in self._cases.values() if file_name(case.name) not in there]
+        return [
+            Piece(f"record {case.name}", record, partial(self._recording, case), partial(self._add_case, case))
+            for case in cases
+        ]
+
+    def qps(self) -> list[Piece]:
+        """Return the pieces that solve the user's own QPs."""
+        if not self._settings.recorded:
+            return []
+        problems = {path.stem: load_qp(path) for path in own_files(self._settings.recorded)[1]}
+        there, pieces = self.store.parts("qps"), []
+        for repeat in range(self._settings.repeats):
+            for solver in self._settings.solvers if problems else ():
+                if solver in registered() or abilities_of(solver).native:
+                    continue  # these take stages, not QPs
+                for accuracy in self._settings.accuracies_of(solver):
+                    name = file_name(solver, f"{accuracy:g}", repeat)
+                    who = {"solver": solver, "accuracy": accuracy, "repeat": repeat, "version": get_backend(solver).version}
+                    if name not in there:
+                        arguments = (solver, accuracy, problems, self._limits)
+                        add = partial(self._add_rows, "qps", name, who)
+                        pieces.append(Piece(f"QPs {solver}", qps, partial(tuple, arguments), add))
+        return pieces
+
+    def replays_and_drives(self) -> list[Piece]:
+        """Return the pieces that compare the solvers."""
+        cases, pieces = list(self._cases.values()), []
+        there = self.store.parts("steps")
+        for job in replays(self._settings, cases):
+            if job.file not in there:
+                add = partial(self._add_steps, job)
+                pieces.append(Piece(job.label, replay, partial(self._replaying, job), add))
+        there = self.store.parts("episodes")
+        for job in drives(self._settings, cases):
+            if job.file not in there:
+                pieces.append(Piece(job.label, drive, partial(self._driving, job), partial(self._add_driven, job)))
+        return pieces
+
+    def _load_sample(self, case: str) -> list[Sampled]:
+        episode = self.store.recorded(case)
+        return [sampled(episode, step, self._settings.rank_tolerance) for step in self.store.replayed(case)]
+
+    def _recording(self, case: Case) -> tuple[Any, ...]:
+        recorded = None if case.file is None else case.file.read_bytes()
+        return case.name, self._settings.rank_tolerance, case.winding, recorded, self._limits
+
+    def _replaying(self, job: Job) -> tuple[Any, ...]:
+        winding = self._cases[job.case].winding
+        return self._settings, job, winding, self._sample(job.case), self._extra_of(job), self._limits
+
+    def _driving(self, job: Job) -> tuple[Any, ...]:
+        winding = self._cases[job.case].winding
+        if job.solver == CLOSED_FORM:
+            winding = replace(winding, solver=CLOSED_FORM, limits=False, contacts=False)
+        elif job.accuracy is not None:
+            winding = replace(winding, solver=job.solver, options=self._settings.options(accuracy=job.accuracy))
+        return self._settings, job, winding, self._extra_of(job), self._limits
+
+    def _extra_of(self, job: Job) -> worker.Factories:
+        return {name: factory for name, factory in self._extra.items() if name == job.solver}
+
+    def _add_case(self, case: Case, told: Record) -> None:
+        free = told["free"]
+        self.store.add_case(case, told["episode"], free, chosen(free, self._settings.steps))
+
+    def _add_steps(self, job: Job, told: tuple[Record, list[Record]]) -> None:
+        self._add_rows("steps", job.file, self._who(job), told)
+
+    def _add_driven(self, job: Job, told: tuple[Record, list[Record]]) -> None:
+        where, (row,) = told
+        content = row.pop("episode", None)
+        file = f"driven/{job.file}.npz" if content is not None and self._keep_driven else None
+        if file is not None:
+            self.store.write_file(file, lambda opened: opened.write(content))
+        self._add_rows("episodes", job.file, self._who(job), (where, [{**row, "file": file}]))
+
+    def _add_rows(self, kind: str, name: str, who: Record, told: tuple[Record, list[Record]]) -> None:
+        where, rows = told
+        self.store.add(kind, name, [{**row, **where, **who, "settings": self._digest} for row in rows])
+
+    def _who(self, job: Job) -> Record:
+        who = {name: value for name, value in asdict(job).items() if name != "kind"}
+        return {**who, "direction": self._cases[job.case].winding.direction}
 
 
-def record_episode(settings: ComparisonSettings, direction: str, folder: Path) -> None:
-    """Wind one direction with the recorder and save the episode."""
-    wind(settings.winding(direction, RECORDER)).save(folder / f"{direction}.npz")
-
-
-def replay(settings: ComparisonSettings, job: Job, folder: Path) -> list[Record]:
-    """Return one record for each sampled problem of each direction, solved by the job's solver."""
-    records = []
-    for direction in job.directions:
-        solve = _solver(settings, job, direction)
-        for item in _sample(folder / f"{direction}.npz", settings.steps, settings.rank_tolerance):
-            step = solve(item.problem, item.q)
-            records.append({"direction": direction, "step": item.step, **judge(item, step), **_names(job)})
-    return records
-
-
-def drive(settings: ComparisonSettings, job: Job, folder: Path) -> list[Record]:
-    """Return the record of one episode that the job's solver drives itself."""
-    del folder
-    (direction,) = job.directions
-    solver = CLOSED_FORM if job.solver == CLOSED_FORM else RECORDER
-    episode = wind(
-        settings.winding(direction, solver),
-        None if job.solver == CLOSED_FORM else _solver(settings, job, direction),
-    )
-    outcome = {"outcome": episode.outcome.name, "message": episode.message}
-    return [{"direction": direction, **asdict(measure(episode)), **outcome, **_names(job)}]
-
-
-def _names(job: Job) -> Record:
-    return {"solver": job.solver, "formulation": job.formulation}
-
-
-def _solver(settings: ComparisonSettings, job: Job, direction: str) -> Solve:
-    if job.solver in MINK_ROWS:
-        return MinkSolver(settings.winding(direction, RECORDER), MINK_ROWS[job.solver])
-    if job.solver == WITNESS:
-        return functools.partial(_witness, settings.rank_tolerance)
-    # Of a replayed step the solver's own answer is judged, which its refinement is part of; a driven one is polished in any
-    # case, so that slow solvers go without.
-    backend = get_backend(job.solver, settings.accuracy, refine=job.kind == "replay" or job.solver not in _SLOW)
-    options = settings.options(job.formulation)
-    return lambda problem, _: joint_step(problem, backend, options)
-
-
-def _witness(rank_tolerance: float, problem: IKProblem, q: Array) -> JointStep:
-    del q
-    started = time.perf_counter()
+def record(case: str, rank_tolerance: float, winding: WindingSettings, recorded: bytes | None, limits: Limits) -> Record:
+    """Return the `episode` of a case and which of its steps are `free`. Work for `Spread`, as are those below."""
+    prepare()
     try:
-        dtheta = witness_step(Hierarchy(problem, rank_tolerance).cut_problem, WITNESS_SOLVER)
-    except WitnessError as error:
-        return JointStep(None, StepStatus.NOT_FOUND, str(error))
-    timings = Timings(build=0.0, solve=time.perf_counter() - started)
-    certificate = certify(problem, dtheta, rank_tolerance)
-    status = StepStatus.SOLVED if certificate.holds else StepStatus.UNCERTIFIED
-    return JointStep(dtheta, status, violation=certificate.violation, timings=timings, certificate=certificate)
+        (told,) = isolated(worker.record, (rank_tolerance, winding, recorded), limits)
+    except LostError as lost:
+        raise RunError(f"case {case!r} cannot be recorded: {lost}") from lost
+    return told
 
 
-@functools.cache
-def _sample(path: Path, steps: int, rank_tolerance: float) -> list[Sampled]:
-    return sample(Episode.load(path), steps, rank_tolerance)
+def replay(
+    settings: ComparisonSettings,
+    job: Job,
+    winding: WindingSettings,
+    sample: list[Sampled],
+    extra: worker.Factories,
+    limits: Limits,
+) -> tuple[Record, list[Record]]:
+    """Return where it was done, and the record of each problem of `sample`, in spite of whatever the solver does."""
+    prepare()
+    about: Record = {}
+    records: list[Record] = []
+    in_a_row = 0
+    while len(records) < len(sample):
+        before = len(records)
+        try:
+            for told in isolated(worker.replay, (settings, job, winding, sample[before:], extra), limits):
+                if "version" in told:
+                    about = told
+                else:
+                    records.append(told)
+        except LostError as lost:
+            in_a_row = in_a_row + 1 if len(records) == before else 1
+            records.append(worker.failed(sample[len(records)], lost.failure, str(lost)))
+            if in_a_row == IN_A_ROW:
+                message = f"not tried, after {IN_A_ROW} in a row: {lost}"
+                records += [worker.failed(item, lost.failure, message) for item in sample[len(records) :]]
+    return {**_here(), **about}, records
+
+
+def drive(
+    settings: ComparisonSettings, job: Job, winding: WindingSettings, extra: worker.Factories, limits: Limits
+) -> tuple[Record, list[Record]]:
+    """Return where it was done, and the record of a driven winding, with the `episode` as bytes if there is one."""
+    prepare()
+    about: Record = {}
+    row: Record = {**dict.fromkeys(EPISODES), "outcome": Outcome.SOLVER_FAILED.name}
+    try:
+        about, row = isolated(worker.drive, (settings, job, winding, extra), limits)
+    except LostError as lost:
+        row |= {"failure": lost.failure, "message": str(lost)}
+    return {**_here(), **about}, [row]
+
+
+def qps(solver: str, accuracy: float, problems: dict[str, Any], limits: Limits) -> tuple[Record, list[Record]]:
+    """Return where it was done, and the record of each QP."""
+    prepare()
+    return _here(), measure_qps(solver, accuracy, problems, limits)
+
+
+def sendable(solvers: tuple[str, ...]) -> worker.Factories:
+    """Return the factories of those `solvers` that were added to the registry, which are sent along.
+
+    Raises:
+        InputError: one cannot be sent to another process.
+    """
+    extra = {name: factory for name, factory in registered().items() if name in solvers}
+    for name, factory in extra.items():
+        try:
+            pickle.dumps(factory)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise InputError(
+                f"backend {name!r} cannot be sent to a process of its own ({error}); register a function or a class of a "
+                "module that can be imported."
+            ) from error
+    return extra
+
+
+def made_by(settings: ComparisonSettings) -> dict[str, Any]:
+    """Return what decides the figures: settings, versions, program, and the user's own files."""
+    deciding = {name: value for name, value in asdict(settings).items() if name not in WHERE}
+    files = [path for paths in own_files(settings.recorded) for path in paths] if settings.recorded else []
+    digests = {path.name: hashlib.sha256(path.read_bytes()).hexdigest()[:12] for path in files}
+    known = {name: get_backend(name).version for name in settings.solvers if name not in registered()}
+    return {**deciding, "recorded": digests, "version": origin.versions(known), "program": origin.code()}
+
+
+def facts(settings: ComparisonSettings) -> dict[str, Any]:
+    """Return what else is to be known of a run."""
+    known = {name: get_backend(name).version for name in settings.solvers if name not in registered()}
+    return {
+        "versions": origin.versions(known),
+        "cpu": {"model": origin.cpu_model(), "cores": os.cpu_count(), "workers": settings.workers, "blas_threads": 1},
+        "revision": origin.revision(),
+        "program": origin.code(),
+        "settings": asdict(settings),
+        "accuracies_left_out": settings.left_out(),
+    }
+
+
+def _here() -> Record:
+    return {"version": "unknown", "cpu": origin.cpu_model(), "revision": origin.revision(), "code": origin.code()}

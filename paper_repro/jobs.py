@@ -21,7 +21,7 @@ from typing import Any
 import comparisons
 import paper_repro
 import prioritized_ik
-from comparisons.processes import one_thread_pool
+from paper_repro.processes import one_thread_pool
 from prioritized_ik.files import write_whole
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.registry import installed_solvers

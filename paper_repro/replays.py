@@ -19,8 +19,10 @@ from typing import Any
 import numpy as np
 import qpsolvers
 
-from comparisons.judging import Sampled, judge, sample
+from comparisons.cases import cases_of
+from comparisons.judging import judge
 from comparisons.mink_today import MinkSolver
+from comparisons.sample import Sampled, sample
 from comparisons.settings import RECORDER, ComparisonSettings
 from paper_repro.artefact import Scale
 from paper_repro.jobs import Job, Results
@@ -153,11 +155,9 @@ class Posed:
 @functools.cache
 def windings(scale: Scale, weights: str = "eq23") -> tuple[str, ...]:
     """Return the settings, as JSON, of the windings that are recorded: one a direction, every step of it by the QP."""
-    settings = ComparisonSettings(solvers=(RECORDER,))
-    chosen = (settings.winding(direction, RECORDER) for direction in scale.directions)
-    return tuple(
-        replace(one, weights=weights, max_steps=BEGINNING if scale.quick else one.max_steps).to_json() for one in chosen
-    )
+    cases = cases_of(ComparisonSettings(solvers=(RECORDER,), directions=scale.directions))
+    changes = {"weights": weights, **({"max_steps": BEGINNING} if scale.quick else {})}
+    return tuple(replace(case.winding, **changes).to_json() for case in cases)
 
 
 @functools.cache

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from comparisons.results import cpu_model
+from comparisons.origin import cpu_model
 from comparisons.settings import MINK_SOLVERS
 from paper_repro.artefact import Artefact, Scale
 from paper_repro.jobs import Job, Results

@@ -10,10 +10,12 @@ from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.virtual_arms import VirtualArms
 
 CAMPAIGN = 200  # problems that a campaign solves unless told: a few seconds
+KILLS = 2  # times that a comparison is killed unless told: a few seconds each
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--campaign", type=int, default=CAMPAIGN, metavar="N", help="problems a campaign solves")
+    parser.addoption("--kills", type=int, default=KILLS, metavar="N", help="times that a comparison is killed")
 
 
 @dataclass

@@ -4,14 +4,18 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import polars
 import pytest
 from click.testing import CliRunner, Result
 
 from comparisons.command import compare
+from comparisons.compared import compared as with_comparisons
 from comparisons.settings import ComparisonSettings
+from comparisons.store import PARTS, Store
 from prioritized_ik.cli import main
+from prioritized_ik.errors import InputError
 from prioritized_ik.winding.episode import Episode
 
 ROW = (
@@ -110,6 +114,22 @@ def test_wind_ends_with_one_when_the_arm_is_not_wound() -> None:
         (["compare", "--steps", "0"], "steps is 0"),
         (["compare", "--workers", "0"], "workers is 0"),
         (["compare", "--accuracy", "2"], "accuracy is 2.0"),
+        (["compare", "--accuracy", "1e-6,much"], "accuracy is '1e-6,much'; expected numbers separated by commas"),
+        (["compare", "--links", "8,17.5"], "links is '8,17.5'; expected numbers"),
+        (["compare", "--links", "8,8"], "links names one twice"),
+        (["compare", "--links", "4", "--link", "6"], "link is 6; expected 1 to 3"),
+        (["compare", "--diameter", "0.1,-0.2"], "diameter is -0.2"),
+        (["compare", "--tilt", "2"], "tilt is 2.0; expected less than 1.2 rad"),
+        (["compare", "--object", "torus"], "unknown shape 'torus'"),
+        (["compare", "--seeds", "5:5"], "seeds is '5:5', which holds none"),
+        (["compare", "--seeds", "a:b"], "seeds is 'a:b'; expected numbers or ranges such as 0:50"),
+        (["compare", "--repeats", "0"], "repeats is 0"),
+        (["compare", "--time-limit", "0"], "time_limit is 0.0"),
+        (["compare", "--plugin", "no.such"], "cannot import plugin 'no.such'"),
+        (["compare", "--recorded", "/no/such"], "cannot read '/no/such'; expected a folder"),
+        (["compare", "--recorded", "."], "'.' holds no .npz file"),
+        (["compare", "--scheduler", "nonsense"], "no Dask scheduler answers at 'nonsense'"),
+        (["compare", "--open"], "--open shows the report, which needs a folder"),
         (["compare", "--damping", "-1"], "damping is -1.0"),
         (["compare", "--out", "/dev/null/results"], "cannot write into"),
         (["compare", "--json", "/no/such/folder/r.json"], "cannot write into '/no/such/folder'"),
@@ -133,9 +153,8 @@ def test_an_unknown_option_is_bad_usage() -> None:
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     folder = tmp_path_factory.mktemp("compare")
-    (folder / "page.md").write_text("above\n<!-- table: make readme -->\nold\n<!-- end of table -->\nbelow\n")
     arguments = ["--solvers", "daqp,quadprog", "--directions", "up", "--steps", "10", "--link", "12"]
-    places = ["--out", str(folder / "out"), "--json", str(folder / "all.json"), "--readme", str(folder / "page.md")]
+    places = ["--out", str(folder / "out"), "--json", str(folder / "all.json")]
     return folder, call("compare", *arguments, *places, "--strict")
 
 
@@ -160,45 +179,88 @@ def test_compare_writes_the_json_that_it_promises(compared: tuple[Path, Result])
             assert row["free_steps"] + row["constrained_steps"] == 10
 
 
-def test_compare_writes_parquet_markdown_and_episodes(compared: tuple[Path, Result]) -> None:
-    out = compared[0] / "out"
-    assert {p.name for p in out.iterdir()} == {"steps.parquet", "episodes.parquet", "rows.parquet", "table.md", "up.npz"}
+def test_compare_writes_parquet_markdown_report_and_episodes(compared: tuple[Path, Result]) -> None:
+    folder, result = compared
+    out = folder / "out"
+    files = {
+        "settings.json",
+        "steps.parquet",
+        "episodes.parquet",
+        "success.parquet",
+        "rows.parquet",
+        "table.md",
+        "report.html",
+    }
+    assert {p.name for p in out.iterdir()} == files | {"parts", "recorded", "driven"}
+    assert f"Report: {out / 'report.html'}" in result.output
     steps = polars.read_parquet(out / "steps.parquet")
-    assert len(steps) == 10 * (2 * 2 + 2)
-    assert set(polars.read_parquet(out / "episodes.parquet")["solver"]) == {
-        "daqp", "quadprog", "closed-form", "mink (daqp)", "mink (proxqp)",
-    }  # fmt: skip
+    assert len(steps) == 2 * 10 * (2 * 2 + 2)
+    assert steps["cpu"].null_count() == steps["revision"].null_count() == steps["settings"].null_count() == 0
+    episodes = polars.read_parquet(out / "episodes.parquet")
+    assert set(episodes["solver"]) == {"daqp", "quadprog", "closed-form", "mink (daqp)", "mink (proxqp)"}
+    for file, steps_there in zip(episodes["file"], episodes["steps"], strict=True):
+        assert Episode.load(out / file).steps == steps_there
     assert (out / "table.md").read_text(encoding="utf-8").startswith("| solver")
 
 
-def test_compare_replaces_the_table_of_a_page_and_nothing_else(compared: tuple[Path, Result]) -> None:
-    page = (compared[0] / "page.md").read_text(encoding="utf-8")
-    assert page.startswith("above\n<!-- table: make readme -->\n| solver")
-    assert page.endswith("<!-- end of table -->\nbelow\n")
-    assert "old" not in page
+def test_compare_goes_on_where_it_was_and_refuses_results_of_other_settings(compared: tuple[Path, Result]) -> None:
+    out = compared[0] / "out"
+    part = sorted((out / "parts/steps").iterdir())[0]
+    others = {path: path.stat().st_mtime_ns for path in (out / "parts").rglob("*.parquet") if path != part}
+    part.unlink()
+    arguments = ["compare", "--solvers", "daqp,quadprog", "--directions", "up", "--link", "12", "--out", str(out)]
+    assert call(*arguments, "--steps", "10").exit_code == 0
+    assert part.exists()
+    assert {path: path.stat().st_mtime_ns for path in others} == others
+    refused = call(*arguments, "--steps", "11", "--accuracy", "1e-6")
+    assert refused.exit_code == 2
+    assert "steps was 10 there and is 11 now; accuracy was 1e-08 there and is 1e-06 now" in refused.output
+    assert "--fresh" in refused.output
 
 
-def test_a_page_without_the_markers_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("nothing here\n")
-    monkeypatch.setattr("comparisons.run.run", lambda *_: pytest.fail("the page is looked at first"))
-    result = call("compare", "--solvers", "daqp", "--readme", str(page))
+def test_fresh_deletes_results_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "recorded").mkdir()
+    (tmp_path / "recorded" / "mine.npz").write_text("not a result")
+    Store.clear(tmp_path)
+    assert (tmp_path / "recorded" / "mine.npz").exists()
+    (tmp_path / "settings.json").write_text('{"something": "else"}')
+    with pytest.raises(InputError, match="expected the folder of a comparison"):
+        Store.clear(tmp_path)
+    assert (tmp_path / "recorded" / "mine.npz").exists()
+    (tmp_path / "settings.json").unlink()
+    Store.create(tmp_path, {}, {})
+    (tmp_path / "notes.txt").write_text("mine")
+    Store.clear(tmp_path)
+    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["notes.txt"]
+    assert not (tmp_path / "parts" / "steps").exists()
+
+
+def test_own_episodes_in_the_folder_that_is_written_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "recorded").mkdir()
+    result = call("compare", "--recorded", str(tmp_path / "recorded"), "--out", str(tmp_path), "--fresh")
     assert result.exit_code == 2
-    assert "has no place for the table" in result.output
-    assert page.read_text() == "nothing here\n"
+    assert "which is written" in result.output
+    assert (tmp_path / "recorded").exists()
 
 
-def test_strict_ends_with_one_when_a_row_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_strict_ends_with_one_and_names_who_disagrees(monkeypatch: pytest.MonkeyPatch) -> None:
     step = {
-        "direction": "up", "step": 0, "free": True, "found": True, "violation": 0.0, "cost": 1.0, "cost_at_zero": 2.0,
-        "dtheta": [0.0, 1.0],
-        "dtheta_error": 1e-3, "dx_error": 1e-9, "solve_s": 1e-3, "polish_s": 1e-3, "status": "SOLVED", "certified": True,
-        "certified_dtheta": [0.0, 1.0], "solver": "daqp", "formulation": "lexicographic",
+        "case": "up", "direction": "up", "step": 0, "free": True, "found": True, "violation": 0.0, "cost": 1.0,
+        "cost_at_zero": 2.0, "dtheta": [0.0, 1.0], "dtheta_error": 1e-3, "dx_error": 1e-9, "build_s": 1e-3,
+        "solve_s": 1e-3, "polish_s": 1e-3, "status": "SOLVED", "certified": True, "certified_dtheta": [0.0, 1.0],
+        "solver": "daqp", "version": "9.9", "formulation": "lexicographic", "accuracy": 1e-8, "start": "cold", "repeat": 0,
     }  # fmt: skip
-    monkeypatch.setattr("comparisons.run.run", lambda *_: ([step], []))
+    other = {**step, "solver": "quadprog", "dtheta_error": 1e-9}
+    store = SimpleNamespace(
+        steps=lambda: with_comparisons(polars.DataFrame([step, other], schema=PARTS["steps"])),
+        episodes=lambda: polars.DataFrame(schema=PARTS["episodes"]),
+        qps=lambda: polars.DataFrame(schema=PARTS["qps"]),
+    )
+    monkeypatch.setattr("comparisons.run.run", lambda *_, **__: store)
     result = call("compare", "--solvers", "daqp", "--strict")
     assert result.exit_code == 1
-    assert "disagrees: dθ 1e-03" in result.output
+    assert "daqp 9.9 (lexicographic, accuracy 1e-08): disagrees: dθ 1e-03" in result.output
+    assert "quadprog 9.9 (lexicographic" not in result.output
     assert call("compare", "--solvers", "daqp").exit_code == 0
 
 
@@ -206,7 +268,11 @@ def test_the_defaults_of_compare_are_those_of_its_settings() -> None:
     # Written twice, since the command line starts without importing where they come from.
     defaults = ComparisonSettings(solvers=("daqp",))
     options = {option.name: option.default for option in compare.params}
-    for name in ("steps", "link", "tilt", "accuracy", "rank_tolerance", "damping", "closed_form_first"):
+    for name in ("steps", "rank_tolerance", "damping", "closed_form_first", "repeats", "drive", "mink", "witness",
+                 "time_limit", "memory_limit", "recorded", "scheduler"):  # fmt: skip
         assert options[name] == getattr(defaults, name), name
-    assert tuple(options["directions"].split(",")) == defaults.directions
+    for name in ("links", "link", "shapes", "diameter", "tilt", "accuracy", "directions"):
+        assert options[name] == ",".join(map(str, getattr(defaults, name))), name
     assert tuple(options["formulation"].split(",")) == defaults.formulations
+    assert options["seeds"] == ""
+    assert defaults.seeds == ()

@@ -1,103 +1,220 @@
-"""The comparison judges by figures of its own: what disagrees or fails is shown as such."""
+"""The comparison judges by figures of its own: what disagrees or fails is shown as such, and stops nobody else."""
 
 import math
+import sys
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars
 import pytest
+import saboteurs
+from click.testing import CliRunner
 
-from comparisons import run as running
+from comparisons.cases import Case, cases_of
+from comparisons.jobs import COLD, MINK_ROWS, WARM, drives, replays
 from comparisons.mink_today import MinkSolver
-from comparisons.run import MINK_ROWS, Job, jobs, replay
+from comparisons.run import run
+from comparisons.sample import chosen, free_steps, sampled
 from comparisons.settings import ComparisonSettings
-from comparisons.summary import summarise
+from comparisons.summary import Row, summarise
+from comparisons.tables import COMPARED, EPISODES, JOB, STEPS
+from prioritized_ik.cli import main
+from prioritized_ik.errors import InputError
 from prioritized_ik.solvers.backends import registry
-from prioritized_ik.solvers.backends.protocol import StageResult
-from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.lexicographic import FREE
-from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.winding.episode import Episode, wind
 from prioritized_ik.winding.settings import WindingSettings
 
-
-class Crooked:
-    """A real backend whose answers can be spoiled: the step off by 1e-5 of itself, or not found."""
-
-    version = "0"
-
-    def __init__(self, name: str, accuracy: float) -> None:
-        self.name = name
-        self._honest = QpsolversBackend("daqp", accuracy)
-
-    def solve(self, stage: Stage) -> StageResult:
-        answer = self._honest.solve(stage)
-        if stage.costed < stage.size or answer.x is None:
-            return answer
-        if self.name == "silent":
-            return StageResult(None, "no idea")
-        wrong = 1e-5 * np.linalg.norm(stage.dtheta(answer.x)) / np.linalg.norm(stage.basis[:, 0])
-        return StageResult(answer.x + wrong * np.eye(stage.size)[0])
+LINK = 13
+SMALL = {"directions": ("up",), "link": (LINK,), "repeats": 1, "mink": False, "drive": False, "workers": 2}
 
 
 @pytest.fixture
-def crooked(monkeypatch: pytest.MonkeyPatch) -> None:
+def sabotage(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "_factories", {})
-    for name in ("off", "silent"):
-        registry.register(name, lambda accuracy, name=name: Crooked(name, accuracy))
+    saboteurs.register_all()
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("recorded")
-    wind(ComparisonSettings(solvers=("daqp",), link=13).winding("up", "daqp")).save(place / "up.npz")
+    settings = ComparisonSettings(solvers=("daqp",), directions=("up",), link=(LINK,))
+    wind(cases_of(settings)[0].winding).save(place / "up.npz")
     return place
 
 
-def rows_of(folder: Path, *solvers: str, formulation: str = "lexicographic") -> dict[str, Any]:
-    settings = ComparisonSettings(solvers=solvers, directions=("up",), steps=12, link=13)
-    records = [
-        record for solver in solvers for record in replay(settings, Job("replay", solver, formulation, ("up",)), folder)
-    ]
-    return {row.solver: row for row in summarise(records, [])}
+def compared(
+    place: Path, recorded: Path, *solvers: str, formulation: str = "lexicographic", **settings: Any
+) -> polars.DataFrame:
+    given = {
+        **SMALL,
+        "recorded": str(recorded),
+        "solvers": solvers,
+        "formulations": (formulation,),
+        "steps": 12,
+        **settings,
+    }
+    return run(ComparisonSettings(**given), place, lambda *_: None).steps()
 
 
-@pytest.mark.usefixtures("crooked")
-def test_a_backend_that_is_off_by_a_hundred_thousandth_disagrees(folder: Path) -> None:
-    rows = rows_of(folder, "daqp", "off")
-    assert rows["daqp"].verdict == "agrees"
+def rows_of(steps: polars.DataFrame) -> dict[str, Row]:
+    return {row.solver: row for row in summarise(steps, polars.DataFrame(schema={**JOB, **EPISODES}))}
+
+
+@pytest.mark.usefixtures("sabotage")
+def test_a_backend_that_is_off_by_a_hundred_thousandth_disagrees(folder: Path, tmp_path: Path) -> None:
+    rows = rows_of(compared(tmp_path, folder, "daqp", "quadprog", "off"))
+    assert rows["daqp"].verdict == rows["quadprog"].verdict == "agrees"
     assert rows["off"].verdict.startswith(("disagrees", "fails"))
     assert rows["off"].free_dtheta_error_max > 1e-6
+    assert rows["daqp"].constrained_dtheta_spread_max <= 1e-6
+    assert rows["off"].constrained_dtheta_spread_max > 1e-6
 
 
-@pytest.mark.usefixtures("crooked")
-def test_a_backend_that_finds_nothing_is_counted_as_failed(folder: Path) -> None:
-    row = rows_of(folder, "silent")["silent"]
-    assert row.not_found == 12
-    assert row.verdict == "fails: 12/12 steps"
-    assert row.free_dtheta_error_max is None
+@pytest.mark.usefixtures("sabotage")
+def test_a_last_joint_off_on_one_step_in_a_hundred_is_named_whether_rows_bind_there_or_not(
+    folder: Path, tmp_path: Path
+) -> None:
+    free = free_steps(Episode.load(folder / "up.npz"), RANK_TOLERANCE)
+    sample = chosen(free, saboteurs.ONE_IN)
+    spoilt = {f"wrong-{kind}": [free[step] for step in sample].index(kind, 10) for kind in (True, False)}
+    for name, place in spoilt.items():
+        registry.register(name, partial(saboteurs.Wrong, name, place))
+    steps = compared(tmp_path, folder, "daqp", *spoilt, steps=saboteurs.ONE_IN)
+    rows = rows_of(steps)
+    assert rows["daqp"].verdict == "agrees"
+    for name, place in spoilt.items():
+        assert rows[name].verdict.startswith("disagrees"), name
+        honest = rows_of(steps.filter(polars.col("step") != sample[place]))
+        assert honest[name].verdict == "agrees", "nothing but that one step gives it away"
 
 
-def test_the_damped_formulation_is_another_problem(folder: Path) -> None:
-    assert rows_of(folder, "quadprog", formulation="damped")["quadprog"].verdict != "agrees"
+@pytest.mark.usefixtures("sabotage")
+def test_a_backend_that_crashes_hangs_or_eats_memory_fails_alone(folder: Path, tmp_path: Path) -> None:
+    names = ("daqp", "crash", "crash-sometimes", "hang", "eat", "fault", "nan", "silent", "shapeless")
+    steps = compared(tmp_path, folder, *names, time_limit=1.5, memory_limit=0.1)
+    assert steps.group_by("solver").len()["len"].to_list() == [12] * len(names)
+    rows = rows_of(steps)
+    assert rows["daqp"].verdict == "agrees"
+    expected = {"crash": "crash", "eat": "memory", "fault": "error", "nan": "nan", "shapeless": "error"}
+    for name, failure in expected.items():
+        assert rows[name].failures == {failure: 12}, name
+        assert rows[name].verdict == f"fails: 12/12 steps (12 {failure})"
+        assert rows[name].free_dtheta_error_max is None
+    assert rows["silent"].verdict == "fails: 12/12 steps"
+    assert rows["silent"].failures == {}
+    for name, failure in (("crash-sometimes", "crash"), ("hang", "timeout")):
+        mine = steps.filter(solver=name)
+        lost = mine.filter(failure=failure)
+        assert 0 < lost.height < 12
+        assert mine.filter("found").height == 12 - lost.height, "what it found before and after counts"
+        assert rows[name].failures == {failure: lost.height}
+    assert "SIGSEGV" in steps.filter(solver="crash")["message"][0]
+    assert "not tried" in steps.filter(solver="crash")["message"][-1]
+    assert "KeyError: 'forgotten'" in steps.filter(solver="fault")["message"][0]
+
+
+@pytest.mark.usefixtures("sabotage")
+def test_a_backend_that_crashes_while_it_drives_leaves_no_winding(tmp_path: Path) -> None:
+    given = {**SMALL, "solvers": ("crash", "nan", "daqp"), "steps": 2, "drive": True}
+    episodes = run(ComparisonSettings(**given), tmp_path, lambda *_: None).episodes().filter(formulation="lexicographic")
+    by_solver = {row["solver"]: row for row in episodes.iter_rows(named=True)}
+    assert by_solver["crash"]["failure"] == "crash"
+    assert by_solver["crash"]["file"] is None
+    assert (by_solver["nan"]["outcome"], by_solver["nan"]["failure"]) == ("SOLVER_FAILED", "nan")
+    assert by_solver["daqp"]["outcome"] == "WOUND"
+    driven = Episode.load(tmp_path / by_solver["daqp"]["file"])
+    assert driven.steps == by_solver["daqp"]["steps"]
+    assert driven.settings.solver == "daqp"
+
+
+def test_a_backend_that_cannot_be_sent_to_another_process_is_refused(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(registry, "_factories", {})
+    registry.register("local", lambda accuracy: saboteurs.Saboteur("nan", accuracy))
+    with pytest.raises(InputError, match="backend 'local' cannot be sent to a process of its own"):
+        compared(tmp_path, folder, "local")
+
+
+def test_a_plugin_brings_backends_of_ones_own_and_strict_names_the_one_that_fails(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(registry, "_factories", {})
+    monkeypatch.delitem(sys.modules, "saboteur_plugin", raising=False)
+    arguments = ["compare", "--plugin", "saboteur_plugin", "--solvers", "daqp,nan", "--recorded", str(folder)]
+    few = ["--steps", "3", "--repeats", "1", "--no-drive", "--no-mink", "--formulation", "lexicographic"]
+    result = CliRunner().invoke(main, [*arguments, *few, "--strict"])
+    assert result.exit_code == 1, result.output
+    assert "nan 0 (lexicographic, accuracy 1e-08): fails: 3/3 steps (3 nan)" in result.output
+    assert "daqp 0" not in result.output
+
+
+def test_the_damped_formulation_is_another_problem(folder: Path, tmp_path: Path) -> None:
+    assert rows_of(compared(tmp_path, folder, "quadprog", formulation="damped"))["quadprog"].verdict != "agrees"
 
 
 def test_the_sample_holds_free_and_constrained_steps_of_the_whole_episode(folder: Path) -> None:
-    sample = running._sample(folder / "up.npz", 12, RANK_TOLERANCE)
-    assert [item.step for item in sample] == sorted({item.step for item in sample})
-    assert len(sample) == 12
-    assert {item.free for item in sample} == {True, False}
-    for item in sample:
+    episode = Episode.load(folder / "up.npz")
+    free = free_steps(episode, RANK_TOLERANCE)
+    numbers = chosen(free, 12)
+    assert numbers == sorted(set(numbers))
+    assert len(numbers) == 12
+    assert {free[number] for number in numbers} == {True, False}
+    for number in numbers:
+        item = sampled(episode, number, RANK_TOLERANCE)
+        assert item.free is free[number]
         assert item.free == (item.problem.relative_violation(item.dtheta) <= FREE)
+        assert (item.before is None) == (number == 0)
 
 
 def test_every_solver_replays_and_drives_and_so_does_mink() -> None:
-    settings = ComparisonSettings(solvers=("daqp", "scs"), directions=("up", "back"))
-    todo = {(job.kind, job.solver, job.formulation, job.directions) for job in jobs(settings)}
-    assert len(todo) == len(jobs(settings)) == 2 * 2 + 2 + (2 + 1 + 2) * 2
-    assert ("drive", "closed-form", "closed form", ("up",)) in todo
-    assert {("replay", name, "mink", ("up", "back")) for name in MINK_ROWS} <= todo
+    settings = ComparisonSettings(solvers=("daqp", "scs", "daqp-warm"), directions=("up", "back"), repeats=2)
+    cases = cases_of(settings)
+    todo = {(job.case, job.solver, job.formulation, job.start, job.repeat) for job in replays(settings, cases)}
+    assert len(todo) == len(replays(settings, cases)) == 2 * 2 * (2 * 2 + 2 + 2)
+    assert ("up", "daqp-warm", "lexicographic", WARM, 1) in todo
+    assert ("up", "daqp-warm", "lexicographic", COLD, 1) in todo
+    assert {("up", name, "mink", COLD, 0) for name in MINK_ROWS} <= todo
+    driven = {(job.case, job.solver) for job in drives(settings, cases)}
+    assert len(driven) == len(drives(settings, cases)) == 2 * (3 + 1 + 2)
+    assert ("up", "closed-form") in driven
+
+
+def test_repeats_are_interleaved_and_files_tell_all_jobs_apart() -> None:
+    settings = ComparisonSettings(solvers=("daqp", "scs"), accuracy=(1e-6, 1e-8), repeats=3)
+    todo = replays(settings, cases_of(settings))
+    assert [job.repeat for job in todo] == sorted(job.repeat for job in todo)
+    assert len({job.file for job in todo}) == len(todo)
+    assert all(set(job.file) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_=.-") for job in todo)
+
+
+def test_cases_are_the_product_of_what_is_swept_and_named_by_it() -> None:
+    swept = {"links": (8, 17), "link": (5,), "tilt": (0.0, 0.3), "seeds": (0, 1, 2), "shapes": ("cylinder", "sphere")}
+    cases = cases_of(ComparisonSettings(solvers=("daqp",), directions=("up", "back"), **swept))
+    assert len(cases) == len({case.name for case in cases}) == 2 * 2 * 2 * 3 * 2
+    case = next(case for case in cases if case.name == "back links=8 object=sphere tilt=0.3 seed=2")
+    assert (case.winding.arm.links, case.winding.shape, case.winding.tilt, case.winding.seed) == (8, "sphere", 0.3, 2)
+    assert case.winding.posture == "random"
+    assert cases_of(ComparisonSettings(solvers=("daqp",), directions=("up",)))[0].name == "up"
+
+
+def test_an_accuracy_out_of_a_solvers_reach_is_left_out_and_said() -> None:
+    settings = ComparisonSettings(solvers=("daqp", "highs"), accuracy=(1e-6, 1e-9))
+    assert settings.accuracies_of("highs") == (1e-6,)
+    assert settings.left_out() == {"highs": [1e-9]}
+    with pytest.raises(InputError, match="finer than highs reaches"):
+        ComparisonSettings(solvers=("highs",), accuracy=(1e-9,))
+
+
+def test_problems_of_several_levels_are_spared_the_damped_formulation_and_mink() -> None:
+    settings = ComparisonSettings(solvers=("daqp",))
+    strict = Case("strict", replace(cases_of(settings)[0].winding, weights="strict"))
+    assert {job.formulation for job in replays(settings, [strict]) + drives(settings, [strict])} == {"lexicographic"}
 
 
 def test_mink_is_given_the_same_problem() -> None:
@@ -124,16 +241,10 @@ def test_minks_limits_bind_where_ours_do(folder: Path) -> None:
             assert mine[1] == pytest.approx(other[1], abs=1e-9)
 
 
-@pytest.mark.usefixtures("crooked")
-def test_steps_of_a_backend_that_is_off_lie_apart_where_rows_bind(folder: Path) -> None:
-    rows = rows_of(folder, "daqp", "quadprog", "off")
-    assert rows["daqp"].constrained_dtheta_spread_max <= 1e-6
-    assert rows["off"].constrained_dtheta_spread_max > 1e-6
-
-
 def test_no_replayed_step_is_no_agreement() -> None:
-    episode = {"direction": "up", "solver": "daqp", "formulation": "lexicographic", "outcome": "WOUND", "turns_ratio": None,
-               "penetration": 0.0, "bend": 0.0, "drift": 0.0}  # fmt: skip
-    (row,) = summarise([], [episode])
+    episode = {"case": "up", "direction": "up", "solver": "daqp", "version": "1", "formulation": "lexicographic",
+               "outcome": "WOUND", "penetration": 0.0, "bend": 0.0, "drift": 0.0}  # fmt: skip
+    steps = polars.DataFrame(schema={**JOB, **STEPS, **COMPARED})
+    (row,) = summarise(steps, polars.DataFrame([episode], schema={**JOB, **EPISODES}))
     assert row.verdict == "fails: no steps"
     assert row.turns_ratio_min is None

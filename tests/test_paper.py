@@ -11,6 +11,7 @@ from paper_repro import jobs
 from paper_repro.artefact import QUICK, Artefact
 from paper_repro.catalogue import CHAPTERS, artefacts
 from paper_repro.figure import KINDS
+from paper_repro.readme import marked
 from prioritized_ik.cli import main
 
 ROOT = Path(__file__).parents[1]
@@ -171,3 +172,15 @@ def test_a_file_without_a_fitting_place_is_left_as_it_is(text, message, tmp_path
     assert result.exit_code == 2
     assert message in result.output
     assert file.read_text(encoding="utf-8") == text
+
+
+def test_the_tables_of_the_readme_are_ones_that_the_command_makes(made):
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    names = marked(ROOT / "README.md")
+    headings = [line for line in page.splitlines() if re.match(r"\| ?:?---", line)]
+    assert len(headings) == len(names), "a table that no command makes"
+    by_name = {artefact.name: artefact for artefact in artefacts()}
+    for name in names:
+        text = by_name[name].file(made, "md").read_text(encoding="utf-8")
+        header = next(line for line in text.splitlines() if line.startswith("|"))
+        assert header in page, name

@@ -43,11 +43,3 @@ def test_the_readme_has_code_and_commands_and_its_make_targets_exist() -> None:
 def test_every_link_inside_the_project_leads_somewhere() -> None:
     for target in re.findall(r"\]\(([^):]+)\)", TEXT):
         assert (ROOT / target).exists(), target
-
-
-def test_the_table_of_the_readme_is_one_that_the_command_makes() -> None:
-    table = TEXT.split("<!-- table: make readme -->")[1].split("<!-- end of table -->")[0]
-    header = next(line for line in table.splitlines() if line.startswith("|"))
-    from comparisons.report import COLUMNS
-
-    assert [cell.strip() for cell in header.strip("|").split("|")] == list(COLUMNS)

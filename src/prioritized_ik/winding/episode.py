@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,6 +126,15 @@ class Episode:
         Raises:
             EpisodeFileError: it cannot be written.
         """
+        try:
+            write_whole(path, self.write)
+        except OSError as error:
+            raise EpisodeFileError(
+                f"cannot write the episode to {str(path)!r} ({error}); choose a folder that exists and is writable."
+            ) from error
+
+    def write(self, file: BinaryIO) -> None:
+        """Write into an open file what `save` writes."""
         arrays: dict[str, Any] = {name: getattr(self, name) for name in _ARRAYS}
         header: dict[str, Any] = {
             "format": np.array(FORMAT),
@@ -133,12 +142,7 @@ class Episode:
             "outcome": np.array(self.outcome.name),
             "message": np.array(self.message),
         }
-        try:
-            write_whole(path, lambda file: np.savez_compressed(file, **header, **arrays))
-        except OSError as error:
-            raise EpisodeFileError(
-                f"cannot write the episode to {str(path)!r} ({error}); choose a folder that exists and is writable."
-            ) from error
+        np.savez_compressed(file, **header, **arrays)
 
     @staticmethod
     def load(path: str | Path) -> "Episode":
@@ -189,12 +193,13 @@ class Episode:
 _ARRAYS = [item.name for item in fields(Episode) if item.name not in ("settings", "outcome", "message")]
 
 
-def wind(settings: WindingSettings, solve: Solve | None = None) -> Episode:
+def wind(settings: WindingSettings, solve: Solve | None = None, on_step: Callable[[int], object] | None = None) -> Episode:
     """Return the episode of an arm that winds until equilibrium, a failed step, or `max_steps`.
 
     Args:
         settings: everything that decides it.
         solve: what turns a problem into a step, instead of `settings.solver`.
+        on_step: called after each step, with how many there are.
 
     Raises:
         SolverUnavailableError: the solver is unknown or not installed.
@@ -229,6 +234,8 @@ def wind(settings: WindingSettings, solve: Solve | None = None) -> Episode:
         problem = controller.problem(q, situation)
         step = solve(problem, q)
         steps.append(_record(problem, step, n))
+        if on_step is not None:
+            on_step(len(steps))
         if step.dtheta is None:
             outcome, message = Outcome.SOLVER_FAILED, f"{step.status.value}. {step.message}"
             break

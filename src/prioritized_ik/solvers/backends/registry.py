@@ -23,6 +23,11 @@ def register(name: str, factory: Callable[[float], AnyBackend]) -> None:
     _factories[name] = factory
 
 
+def registered() -> dict[str, Callable[[float], AnyBackend]]:
+    """Return the factories of the backends that were added, by name."""
+    return dict(_factories)
+
+
 def known_solvers() -> list[str]:
     """Return the names of every solver this package knows, installed or not."""
     return sorted({*ABILITIES, *NATIVE, *qpsolvers.available_solvers, *_factories})

@@ -1,0 +1,250 @@
+"use strict";
+// The windings in three dimensions: play, scrub, choose the solver, lay a second one over the first.
+
+const SECONDS = 8; // that a winding plays for at the usual speed
+const FREE = [["#1f4e79", "#3f7fb8", "#9cc7ea"], ["#173d60", "#32699b", "#85b5db"]]; // neighbours differ, so that links show
+const TOUCHING = [["#8f3d00", "#e06a10", "#ffc08a"], ["#7d3500", "#cc5c06", "#f7ad6f"]];
+const OTHER = [["#4f4f57", "#83838c", "#c9c9d0"], ["#46464d", "#75757e", "#bbbbc3"]];
+
+class Replay {
+  constructor(box, replays) {
+    this.windings = replays.windings;
+    this.every = replays.every;
+    if (!this.windings.length) { box.append(el("p", {}, "No winding was driven in this run.")); return; }
+    this.cases = [...new Set(this.windings.map((one) => one.case))];
+    this.frame = 0;
+    this.playing = false;
+    this.speed = 1;
+    this.build(box);
+    this.chooseCase(0);
+    redrawn(this.stage, () => this.draw());
+  }
+
+  build(box) {
+    this.caseChoice = choice("Winding", this.cases, 0, (i) => this.chooseCase(i));
+    this.solverChoice = choice("Solver", [], 0, (i) => this.choose(i, this.other));
+    this.otherChoice = choice("Laid over it", [], 0, (i) => this.choose(this.solver, i - 1));
+    const speeds = [0.25, 1, 4];
+    this.speedChoice = choice("Speed", speeds.map((s) => `${s} ×`), 1, (i) => { this.speed = speeds[i]; });
+    this.canvas = el("canvas", { "aria-label": "The arm", role: "img" });
+    this.status = el("p", { class: "status" });
+    this.stage = el("div", { class: "stage" }, this.canvas, this.status);
+    this.button = el("button", { type: "button", class: "button main", onclick: () => this.play(!this.playing) }, "Play");
+    this.slider = el("input", { type: "range", class: "slider", min: 0, max: 0, step: 1, value: 0, "aria-label": "Step",
+      oninput: () => { this.play(false); this.go(Number(this.slider.value)); } });
+    this.roll = el("canvas", { class: "roll", "aria-label": "Contact of each link over the steps", role: "img" });
+    this.numbers = el("dl", { class: "numbers" });
+    const swatch = (colour, text) => { const i = el("i"); i.style.background = colour; return el("span", {}, i, text); };
+    box.append(
+      el("div", { class: "controls" }, this.caseChoice.label, this.solverChoice.label, this.otherChoice.label, this.speedChoice.label,
+        this.button),
+      this.stage, this.slider, this.roll,
+      el("div", { class: "key" }, swatch(TOUCHING[0][1], "link in contact"), swatch(FREE[0][1], "link in the air"),
+        swatch(OTHER[0][1], "second solver"), el("span", {}, "Strip: links from the base (bottom) to the tip (top), over the steps")),
+      this.numbers);
+    if (this.every > 1) box.append(el("p", { class: "note" }, `Every ${this.every}th state is kept, for the size of this page.`));
+    this.drag();
+    this.roll.addEventListener("pointerdown", (event) => {
+      const rect = this.roll.getBoundingClientRect();
+      this.play(false);
+      this.go(Math.round((event.clientX - rect.left) / rect.width * (this.motion.count - 1)));
+    });
+  }
+
+  chooseCase(i) {
+    this.inCase = this.windings.filter((one) => one.case === this.cases[i]);
+    const before = this.winding?.label;
+    const names = this.inCase.map((one) => one.label);
+    const fill = (select, labels) => select.replaceChildren(...labels.map((label, k) => el("option", { value: k }, label)));
+    fill(this.solverChoice.select, names);
+    fill(this.otherChoice.select, ["–", ...names]);
+    const first = this.inCase.findIndex((one) => one.formulation === "lexicographic");
+    const chosen = names.includes(before) ? names.indexOf(before) : Math.max(0, first);
+    this.angles = null;
+    this.frame = 0;
+    this.choose(chosen, -1);
+    this.go(this.motion.count - 1); // a wound arm says more than a straight one
+  }
+
+  choose(solver, other) {
+    this.solver = solver;
+    this.other = other;
+    this.solverChoice.select.value = solver;
+    this.otherChoice.select.value = other + 1;
+    this.winding = this.inCase[solver];
+    const share = this.motion ? this.frame / Math.max(1, this.motion.count - 1) : 0;
+    this.motion = motionOf(this.winding);
+    this.second = other >= 0 ? motionOf(this.inCase[other]) : null;
+    this.faces = facesOf(this.winding.object);
+    this.angles = this.angles || firstAngles(this.winding.object);
+    this.slider.max = this.motion.count - 1;
+    this.tell();
+    this.go(Math.round(share * (this.motion.count - 1)));
+  }
+
+  tell() {
+    const one = this.winding;
+    const outcomes = { WOUND: "wound", LOST: "lost contact", OUT_OF_STEPS: "no end", SOLVER_FAILED: "the solver failed" };
+    const show = (value, factor, digits, unit) => (value === null ? "–" : `${(value * factor).toFixed(digits)}${unit}`);
+    const pairs = [
+      ["outcome", outcomes[one.outcome] || one.outcome], ["steps", String(this.motion.steps[this.motion.count - 1])],
+      ["turns", show(one.turns, 1, 2, "")], ["of the ideal", show(one.turns_ratio, 1, 2, "")],
+      ["penetration", show(one.penetration, 1e3, 1, " mm")], ["largest bend", show(one.bend, 1, 2, " rad")],
+      ["drift", show(one.drift, 1e3, 1, " mm")],
+    ];
+    this.numbers.replaceChildren(...pairs.map(([name, text]) => el("div", {}, el("dt", {}, name), el("dd", {}, text))));
+    if (one.message) this.numbers.append(el("div", {}, el("dt", {}, "message"), el("dd", {}, one.message)));
+  }
+
+  play(on) {
+    if (on && this.frame >= this.motion.count - 1) this.go(0);
+    this.playing = on;
+    this.button.textContent = on ? "Pause" : "Play";
+    if (!on) return;
+    let last = null, place = this.frame;
+    const tick = (now) => {
+      if (!this.playing) return;
+      if (last !== null) place += (now - last) / 1000 * this.speed * (this.motion.count - 1) / SECONDS;
+      last = now;
+      // Another winding may have been chosen on the way.
+      if (Math.abs(place - this.frame) > 0.2 * this.motion.count) place = this.frame;
+      this.go(Math.min(Math.floor(place), this.motion.count - 1));
+      if (this.frame >= this.motion.count - 1) this.play(false);
+      else requestAnimationFrame(tick);
+    };
+    requestAnimationFrame(tick);
+  }
+
+  go(frame) {
+    this.frame = Math.max(0, Math.min(frame, this.motion.count - 1));
+    this.slider.value = this.frame;
+    this.draw();
+  }
+
+  draw() {
+    const width = this.stage.clientWidth;
+    if (!width || !this.motion) return;
+    const height = Math.round(Math.max(300, Math.min(560, width * 0.56)));
+    const context = sized(this.canvas, width, height);
+    const view = fitted(this.angles, this.toSee(), width, height);
+    const arms = [{ points: this.motion.points(this.frame), colours: (i) => (this.motion.touches(this.frame, i) ? TOUCHING : FREE)[i % 2] }];
+    if (this.second) {
+      const frame = this.secondFrame();
+      arms.push({ points: this.second.points(frame), colours: (i) => OTHER[i % 2], thin: 0.8 }); // hidden where both agree
+    }
+    paint(context, view, this.faces, arms, this.winding.radius);
+    let touching = 0;
+    for (let i = 0; i < this.motion.links; i++) touching += this.motion.touches(this.frame, i);
+    this.status.textContent = `step ${this.motion.steps[this.frame]} of ${this.motion.steps[this.motion.count - 1]}`
+      + ` · ${touching} of ${this.motion.links} links in contact`;
+    this.drawRoll(width);
+  }
+
+  toSee() {
+    // The object, and the arm from now on: the view comes closer as the arm winds up, and never swings back.
+    const points = this.faces.map((face) => face.middle);
+    const last = this.motion.count - 1;
+    for (let k = 0; k <= 6; k++) points.push(...this.motion.points(Math.round(this.frame + (last - this.frame) * k / 6)));
+    if (this.second) points.push(...this.second.points(this.secondFrame()));
+    return points;
+  }
+
+  secondFrame() {
+    // The same share of its own steps.
+    return Math.round(this.frame * (this.second.count - 1) / Math.max(1, this.motion.count - 1));
+  }
+
+  drawRoll(width) {
+    const { count, links } = this.motion;
+    const row = links > 24 ? 3 : 4;
+    const context = sized(this.roll, width, row * links);
+    context.fillStyle = "#e4ebf2";
+    context.fillRect(0, 0, width, row * links);
+    context.fillStyle = TOUCHING[0][1];
+    for (let i = 0; i < links; i++) {
+      for (let from = 0; from < count; from++) {
+        if (!this.motion.touches(from, i)) continue;
+        let to = from;
+        while (to + 1 < count && this.motion.touches(to + 1, i)) to++;
+        context.fillRect(from / count * width, row * (links - 1 - i), (to + 1 - from) / count * width, row - 1);
+        from = to;
+      }
+    }
+    context.fillStyle = "#1c2127";
+    context.fillRect(Math.min(width - 2, this.frame / Math.max(1, count - 1) * width - 1), 0, 2, row * links);
+  }
+
+  drag() {
+    let from = null;
+    this.canvas.addEventListener("pointerdown", (event) => { from = [event.clientX, event.clientY]; this.canvas.setPointerCapture(event.pointerId); });
+    this.canvas.addEventListener("pointerup", () => { from = null; });
+    this.canvas.addEventListener("pointercancel", () => { from = null; });
+    this.canvas.addEventListener("pointermove", (event) => {
+      if (!from) return;
+      this.angles.azimuth -= 0.01 * (event.clientX - from[0]);
+      this.angles.elevation = Math.max(-1.5, Math.min(1.5, this.angles.elevation + 0.01 * (event.clientY - from[1])));
+      from = [event.clientX, event.clientY];
+      this.draw();
+    });
+  }
+}
+
+function sized(canvas, width, height) {
+  // In the screen's own pixels, so that it is sharp.
+  const ratio = Math.min(window.devicePixelRatio || 1, 2);
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+    canvas.style.height = `${height}px`;
+  }
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return context;
+}
+
+function motionOf(winding) {
+  // The arrays of replays.py, read once.
+  if (winding.motion) return winding.motion;
+  const bytes = bytesOf(winding.positions);
+  const whole = new DataView(bytes.buffer);
+  const bits = bytesOf(winding.contact);
+  const { links, unit, centre, at } = winding;
+  const perState = Math.ceil(links / 8);
+  winding.motion = {
+    links, count: at.length, steps: at,
+    points: (frame) => {
+      const points = [[0, 0, 0]];
+      for (let i = 0; i < links; i++) {
+        points.push(centre.map((c, k) => c + unit * whole.getInt16(2 * ((frame * links + i) * 3 + k), true)));
+      }
+      return points;
+    },
+    touches: (frame, i) => (bits[frame * perState + (i >> 3)] >> (7 - (i & 7))) & 1,
+  };
+  return winding.motion;
+}
+
+function firstAngles(object) {
+  // Obliquely along the object's axis.
+  const axis = [0, 1, 2].map((k) => object.rotation[k][2]);
+  const along = axis[1] < 0 || Math.abs(axis[2]) > 0.5 ? axis : vec.mul(axis, -1);
+  const towards = vec.unit(vec.add(vec.mul(along, 0.8), [0.45, -0.55, 0.55]));
+  return { azimuth: Math.atan2(towards[1], towards[0]), elevation: Math.asin(towards[2]) };
+}
+
+function fitted({ azimuth, elevation }, points, width, height) {
+  // The camera that sees all points from there, just so far off that they fill the picture.
+  let target = points[0], distance = 4;
+  for (let round = 0; ; round++) {
+    const from = camera(target, distance, azimuth, elevation, width, height);
+    if (round === 5) return from;
+    const seen = points.map(from.see);
+    const [left, right] = [Math.min(...seen.map((p) => p.x)), Math.max(...seen.map((p) => p.x))];
+    const [top, bottom] = [Math.min(...seen.map((p) => p.y)), Math.max(...seen.map((p) => p.y))];
+    const size = from.see(target).size;
+    target = vec.add(target, vec.add(
+      vec.mul(from.right, ((left + right) / 2 - width / 2) / size), vec.mul(from.up, (height / 2 - (top + bottom) / 2) / size)));
+    distance *= Math.max((right - left) / (0.86 * width), (bottom - top) / (0.76 * height));
+  }
+}

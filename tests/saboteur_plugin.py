@@ -1,0 +1,5 @@
+"""What a user hands to `compare --plugin`."""
+
+from saboteurs import register_all
+
+register_all()
