@@ -1,5 +1,6 @@
 """Windings as jobs: every figure of an episode, and its story in a few poses. Shared by the artefacts that need them."""
 
+import math
 from dataclasses import asdict
 from typing import Any
 
@@ -7,12 +8,37 @@ import numpy as np
 
 from paper_repro.jobs import Job
 from prioritized_ik.solvers.step import StepStatus
-from prioritized_ik.winding.episode import wind
+from prioritized_ik.winding.episode import Episode, Outcome, wind
 from prioritized_ik.winding.metrics import bends, measure
+from prioritized_ik.winding.plan import first_and_last_in_contact
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
 #: Drives the arm where a QP does. Certified steps do not depend on the solver, so this one may be fast.
 DRIVER = "daqp-warm"
+
+METHODS = ("closed form", "qp")
+METHOD_NAMES = {"closed form": "closed form", "qp": "QP"}
+
+# When an arm counts as wound. That every link from k on reports contact is not enough: an arm folded back on itself, or
+# one that went through the object, does so too.
+WELL_WOUND = 0.95  # of the ideal turns: the first and the last link may touch off their middles, and no more is missing
+DEEPEST = 2e-3  # [m] the distance at which a link reports contact: what the arm cannot feel cannot be held against it
+FOLDED = 0.5 * math.pi  # [rad] a link turned by more points back along the one before; the ideal is 41°
+
+CRITERION = (
+    f"*Wound* is an arm of which M says so, with at least {WELL_WOUND:g} of the ideal turns, never deeper than "
+    f"{1e3 * DEEPEST:g} mm in the object, and no link ever bent by more than a right angle against the one before"
+)
+
+
+def is_wound(figures: dict[str, Any]) -> bool:
+    """Return whether an arm is really wound, from the answer of `measured` or `story`."""
+    return bool(
+        figures["outcome"] == Outcome.WOUND.name
+        and figures["turns_ratio"] >= WELL_WOUND
+        and figures["penetration"] <= DEEPEST
+        and figures["bend"] <= FOLDED
+    )
 
 
 def settings(method: str = "qp", **changes: Any) -> WindingSettings:
@@ -33,28 +59,68 @@ def measured_job(chosen: WindingSettings) -> Job:
 
 
 def measured(settings: str) -> dict[str, Any]:
-    """Return the fields of `WindingMetrics`, the `outcome`, its `message`, and how many steps ended how by `status`."""
-    episode = wind(WindingSettings.from_json(settings))
-    statuses = {status.name: int(np.count_nonzero(episode.status == status.name)) for status in StepStatus}
-    return {**asdict(measure(episode)), "outcome": episode.outcome.name, "message": episode.message, "status": statuses}
+    """Return every figure of a winding.
 
-
-def story_job(chosen: WindingSettings, stages: int = 6) -> Job:
-    """Return the job of one winding in a few poses: see `story`."""
-    return Job(story, {"settings": chosen.to_json(), "stages": stages})
-
-
-def story(settings: str, stages: int) -> dict[str, Any]:
-    """Return a winding as its reader sees it.
-
-    `q` `(stages, m)` [rad], `positions` `(stages, n, 3)` [m] and `in_contact` `(stages, n)` of evenly spaced states
-    `shown`, the first and the last included; the path of the arm's end `tail` `(T + 1, 3)` [m]; `penetration_path` [m] and
-    `bend_path` [rad], the largest of each state `(T + 1)`; `outcome`, and the fields of `WindingMetrics`.
+    The fields of `WindingMetrics`, those of `motions`, how often a link lost its contact as `contacts_lost`, the `outcome`,
+    its `message`, and how many steps ended how by `status`.
     """
-    episode = wind(WindingSettings.from_json(settings))
-    steps = np.unique(np.linspace(0, episode.steps, stages).round().astype(int))
+    return figures_of(wind(WindingSettings.from_json(settings)))
+
+
+def figures_of(episode: Episode) -> dict[str, Any]:
+    """Return the answer of `measured` for an episode."""
+    statuses = {status.name: int(np.count_nonzero(episode.status == status.name)) for status in StepStatus}
     return {
         **asdict(measure(episode)),
+        **motions(episode),
+        "contacts_lost": int(np.count_nonzero(episode.in_contact[:-1] & ~episode.in_contact[1:])),
+        "outcome": episode.outcome.name,
+        "message": episode.message,
+        "status": statuses,
+    }
+
+
+def motions(episode: Episode) -> dict[str, float]:
+    """Return how much moves that is not wound yet.
+
+    `tail_path`, the length of the path of the arm's end [m]; and of the virtual end points k + 2 … n, for as long as they
+    are such, `free_path`, the sum of their paths [m], and `free_step`, how far one of them moves in a step on average [m].
+    """
+    moved = np.linalg.norm(np.diff(episode.positions, axis=0), axis=2)  # (T, n)
+    arms = np.arange(1, moved.shape[1] + 1)
+    free = arms > wound_to(episode)[: len(moved), None] + 1
+    path = float(moved[free].sum())
+    return {
+        "tail_path": float(moved[:, -1].sum()),
+        "free_path": path,
+        "free_step": path / max(int(np.count_nonzero(free)), 1),
+    }
+
+
+def wound_to(episode: Episode) -> np.ndarray[Any, np.dtype[np.int64]]:
+    """Return k of Eqs. (23) and (24), the last of the links in successive contact, in each state `(T + 1,)`."""
+    return np.array([first_and_last_in_contact(contact)[1] for contact in episode.in_contact])
+
+
+def story_job(chosen: WindingSettings, stages: int = 6, every: int = 0) -> Job:
+    """Return the job of one winding in a few poses: see `story`."""
+    return Job(story, {"settings": chosen.to_json(), "stages": stages, "every": every})
+
+
+def story(settings: str, stages: int, every: int = 0) -> dict[str, Any]:
+    """Return a winding as its reader sees it.
+
+    `q` `(stages, m)` [rad], `positions` `(stages, n, 3)` [m] and `in_contact` `(stages, n)` of the states `shown`: evenly
+    spaced ones, or every `every` steps if that is not 0, the first and the last included in any case; the path of the
+    arm's end `tail` `(T + 1, 3)` [m]; of each state `(T + 1)` the largest `penetration_path` [m] and `bend_path` [rad], and
+    `wound_to`, k; `outcome`, and the fields of `WindingMetrics` and of `motions`.
+    """
+    episode = wind(WindingSettings.from_json(settings))
+    last = episode.steps
+    steps = np.r_[0:last:every, last] if every else np.unique(np.linspace(0, last, stages).round().astype(int))
+    return {
+        **asdict(measure(episode)),
+        **motions(episode),
         "outcome": episode.outcome.name,
         "shown": steps.tolist(),
         "q": episode.q[steps].tolist(),
@@ -63,4 +129,5 @@ def story(settings: str, stages: int) -> dict[str, Any]:
         "tail": episode.positions[:, -1].tolist(),
         "penetration_path": (-episode.distance.min(axis=1)).tolist(),
         "bend_path": bends(episode.directions).max(axis=1).tolist(),
+        "wound_to": wound_to(episode).tolist(),
     }

@@ -1,7 +1,7 @@
 """Pictures of an episode, rendered by MuJoCo off screen (set MUJOCO_GL=egl or osmesa where there is no display)."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -11,41 +11,113 @@ from numpy.typing import NDArray
 from prioritized_ik.errors import InputError
 from prioritized_ik.files import write_whole
 from prioritized_ik.models import WindingObject, update_kinematics
-from prioritized_ik.validation import one_of
+from prioritized_ik.validation import Array, one_of
 from prioritized_ik.winding.episode import Episode
+from prioritized_ik.winding.settings import WindingSettings
+
+Colour = tuple[float, float, float]  # red, green, blue
 
 TOUCHING = (0.93, 0.40, 0.47, 1.0)  # links in contact [rgba]
 KINDS = (".png", ".gif")
 FRAMES = 60  # of an animation, evenly spaced over the episode
 FRAME_MILLISECONDS = 50
 SHOWN_LENGTH = 2.2  # half length of a cylinder or capsule in a picture, in radii
+WHITE = (1.0, 1.0, 1.0)
+SKY = (WHITE, (0.86, 0.90, 0.94))
+OUTSIDE = 2.0  # [m] an orthographic camera may stand anywhere in front of all there is to see
+
+
+@dataclass(frozen=True)
+class View:
+    """An orthographic view, of one scale all over.
+
+    Attributes:
+        azimuth, elevation: of the line of sight [deg], as MuJoCo counts them: 90 and 0 look along +y, with z up.
+        centre: what is in the middle of the picture `(3,)` [m].
+        width, height: of what is in the picture [m].
+    """
+
+    azimuth: float
+    elevation: float
+    centre: tuple[float, float, float]
+    width: float
+    height: float
+
+    def project(self, points: Array) -> Array:
+        """Return how far right of the middle and above it `points` `(..., 3)` are seen `(..., 2)` [m]."""
+        azimuth, elevation = np.radians([self.azimuth, self.elevation])
+        right = [np.sin(azimuth), -np.cos(azimuth), 0.0]
+        up = [-np.sin(elevation) * np.cos(azimuth), -np.sin(elevation) * np.sin(azimuth), np.cos(elevation)]
+        return (points - np.array(self.centre)) @ np.array([right, up]).T
 
 
 def frames(episode: Episode, steps: list[int], width: int = 960, height: int = 720) -> Iterator[NDArray[np.uint8]]:
     """Yield the picture `(height, width, 3)` of each of `steps` (0 to T), links in contact coloured."""
-    spec = episode.settings.arm.spec()
-    _cut_to_view(episode.settings.wound_object()).add_to(spec)
+    spec = _spec(episode.settings, SKY, SHOWN_LENGTH, width, height)
+    yield from _drawn(spec, episode.settings, episode.q[steps], episode.in_contact[steps], _camera(episode))
+
+
+def poses(
+    settings: WindingSettings,
+    q: Array,
+    in_contact: NDArray[np.bool_],
+    view: View,
+    resolution: float,
+    shown_length: float = SHOWN_LENGTH,
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield the picture of each pose on white, links in contact coloured.
+
+    Args:
+        settings: of the arm and the object.
+        q: joint positions `(k, m)` [rad].
+        in_contact: M `(k, n)`.
+        view: what to show.
+        resolution: pixels a metre.
+        shown_length: half length of a cylinder or capsule, in radii.
+    """
+    width, height = round(view.width * resolution), round(view.height * resolution)
+    spec = _spec(settings, (WHITE, WHITE), shown_length, width, height)
+    spec.visual.global_.fovy = view.height  # a length, as the camera is orthographic
+    camera = mujoco.MjvCamera()
+    camera.orthographic = 1
+    camera.lookat[:] = view.centre
+    camera.distance, camera.azimuth, camera.elevation = OUTSIDE, view.azimuth, view.elevation
+    yield from _drawn(spec, settings, q, in_contact, camera)
+
+
+def _spec(
+    settings: WindingSettings, sky: tuple[Colour, Colour], shown_length: float, width: int, height: int
+) -> mujoco.MjSpec:
+    """Return the arm and the object before a sky that fades from one colour to another."""
+    spec = settings.arm.spec()
+    _cut_to_view(settings.wound_object(), shown_length).add_to(spec)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.headlight.ambient = [0.45, 0.45, 0.45]
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[1.0, 1.0, 1.0],
-        rgb2=[0.86, 0.90, 0.94],
+        rgb1=sky[0],
+        rgb2=sky[1],
         width=64,
         height=64,
     )
+    return spec
+
+
+def _drawn(
+    spec: mujoco.MjSpec, settings: WindingSettings, q: Array, in_contact: NDArray[np.bool_], camera: mujoco.MjvCamera
+) -> Iterator[NDArray[np.uint8]]:
     model = spec.compile()
     data = mujoco.MjData(model)
-    links = [model.geom(name).id for name in episode.settings.arm.link_geoms]
+    links = [model.geom(name).id for name in settings.arm.link_geoms]
     model.geom_rgba[model.geom("object").id, 3] = 0.5
     colours = model.geom_rgba[links].copy()
-    camera = _camera(episode)
+    width, height = model.vis.global_.offwidth, model.vis.global_.offheight
     with mujoco.Renderer(model, height, width) as renderer:
-        for step in steps:
-            model.geom_rgba[links] = np.where(episode.in_contact[step][:, None], TOUCHING, colours)
-            update_kinematics(model, data, episode.q[step])
+        for position, touching in zip(q, in_contact, strict=True):
+            model.geom_rgba[links] = np.where(touching[:, None], TOUCHING, colours)
+            update_kinematics(model, data, position)
             mujoco.mj_camlight(model, data)
             renderer.update_scene(data, camera)
             yield renderer.render()
@@ -80,11 +152,11 @@ def record(episode: Episode, path: str | Path) -> None:
         raise InputError(f"cannot write {str(path)!r} ({error}); choose a place that is writable.") from error
 
 
-def _cut_to_view(wound: WindingObject) -> WindingObject:
+def _cut_to_view(wound: WindingObject, shown_length: float) -> WindingObject:
     """Return a long object cut short, so that it does not hide the arm. Only pictures see it so."""
     if wound.shape not in ("cylinder", "capsule"):
         return wound
-    return replace(wound, size=(wound.size[0], min(wound.size[1], SHOWN_LENGTH * wound.size[0])))
+    return replace(wound, size=(wound.size[0], min(wound.size[1], shown_length * wound.size[0])))
 
 
 def _camera(episode: Episode) -> mujoco.MjvCamera:
