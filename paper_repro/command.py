@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from prioritized_ik.cli import DISAGREES, writable_file, writable_folder
+from prioritized_ik.cli import DISAGREES, made_folder, writable_file
 
 if TYPE_CHECKING:
     from paper_repro.artefact import Scale
@@ -34,9 +34,7 @@ def paper(context: click.Context, out: str, names: str, quick: bool, workers: in
 
     scale = QUICK if quick else FULL
     processes = at_least("workers", workers if workers is not None else os.cpu_count() or 1, 1)
-    folder = Path(out)
-    writable_folder(next(parent for parent in (folder, *folder.absolute().parents) if parent.exists()))
-    context.obj = (scale, folder, processes)
+    context.obj = (scale, Path(out), processes)
     if context.invoked_subcommand is not None:
         return
     from paper_repro.build import build
@@ -46,6 +44,7 @@ def paper(context: click.Context, out: str, names: str, quick: bool, workers: in
     artefacts = chosen(tuple(name.strip() for name in names.split(",") if name.strip()))
     if readme is not None:
         marked(Path(writable_file(readme)))
+    folder = made_folder(Path(out))
     with _bar() as progress:
         files = build(artefacts, folder, scale, processes, progress)
     for path in files:
@@ -72,7 +71,7 @@ def check(given: "tuple[Scale, Path, int]") -> None:
 
     scale, folder, processes = given
     with _bar() as progress:
-        results = run(facts.jobs(scale), folder / ANSWERS, processes, progress)
+        results = run(facts.jobs(scale), made_folder(folder) / ANSWERS, processes, progress)
     findings = facts.findings(scale, results)
     made = facts.table(findings)
     drawn = Table(*(column.title for column in made.columns), box=None)

@@ -156,7 +156,7 @@ class Posed:
 def windings(scale: Scale, weights: str = "eq23") -> tuple[str, ...]:
     """Return the settings, as JSON, of the windings that are recorded: one a direction, every step of it by the QP."""
     cases = cases_of(ComparisonSettings(solvers=(RECORDER,), directions=scale.directions))
-    changes = {"weights": weights, **({"max_steps": BEGINNING} if scale.quick else {})}
+    changes: dict[str, Any] = {"weights": weights, **({"max_steps": BEGINNING} if scale.quick else {})}
     return tuple(replace(case.winding, **changes).to_json() for case in cases)
 
 

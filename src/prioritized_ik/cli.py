@@ -164,6 +164,21 @@ def writable_file(path: str) -> str:
     return path
 
 
+def made_folder(folder: Path) -> Path:
+    """Return `folder`, made if it was not there.
+
+    Raises:
+        PrioritizedIkError: it cannot be made, or files cannot be written into it.
+    """
+    from prioritized_ik.errors import InputError
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write into {str(folder)!r} ({error}); choose a place that is writable.") from error
+    return writable_folder(folder)
+
+
 def writable_folder(folder: Path) -> Path:
     """Return `folder` if files can be written into it.
 
