@@ -33,6 +33,7 @@ CHAPTERS: dict[str, tuple[str, ...]] = {
         "table_7_timing",
     ),
     "Winding": (
+        "outcomes",
         "figure_6_windings",
         "figure_7_weights",
         "figure_penetration",

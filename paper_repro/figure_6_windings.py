@@ -152,4 +152,4 @@ def _draw(figure: "Figure", strip: Strip, widths: Array, inches: float, top: flo
         left += view.width * inches + GAP
 
 
-ARTEFACT = Artefact("figure-6", "Figure 6. Winding from four directions, closed form and QP", CAPTION, jobs, build)
+ARTEFACT = Artefact("figure-6", "Fig. 6: winding from four directions, closed form and QP", CAPTION, jobs, build)

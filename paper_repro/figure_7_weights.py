@@ -120,4 +120,4 @@ def _paths(by_step: "Axes", by_link: "Axes", stories: dict[tuple[str, str], dict
     by_link.set(xlabel="last wound link k", xlim=(5.8, 17.2), ylim=(0, None))
 
 
-ARTEFACT = Artefact("figure-7", "Figure 7. Effect of the weights of the links not yet wound", CAPTION, jobs, build)
+ARTEFACT = Artefact("figure-7", "Fig. 7: effect of the weights of the links not yet wound", CAPTION, jobs, build)

@@ -26,7 +26,7 @@ def marked(file: Path) -> list[str]:
 
 
 def fill(file: Path, out: Path) -> None:
-    """Put the tables made in `out` between the markers of `file`, without their headings.
+    """Put the tables made in `out` between the markers of `file`, without headings and captions.
 
     Raises:
         InputError: one was not made, or the file cannot be written.
@@ -36,8 +36,8 @@ def fill(file: Path, out: Path) -> None:
         path = artefact.file(out, "md")
         if not path.is_file():
             raise InputError(f"{artefact.name} was not made in {str(out)!r}; run without --only, or with it named.")
-        _, _, body = path.read_text(encoding="utf-8").partition("\n\n")
-        tables[artefact.name] = body
+        _, bar, body = path.read_text(encoding="utf-8").partition("\n|")
+        tables[artefact.name] = bar[1:] + body
     text = MARKED.sub(lambda match: match[1] + tables[match["name"]] + match[3], file.read_text(encoding="utf-8"))
     try:
         write_whole(file, lambda handle: handle.write(text.encode("utf-8")))

@@ -23,7 +23,8 @@ audited; its figures, drawn anew; and what it leaves open, measured.
 
 The paper gives neither the initial pose nor the object's, no link radius, time step, joint range or contact threshold. Its
 Figs. 6 and 7 can therefore be reproduced **in quality only**: no pose here is claimed to be the paper's. What was chosen in
-their place stands in the table of choices, and what those choices change in the table after it.
+their place stands in the table of choices, and what those choices change in the table of
+sensitivity at the end.
 
 Under every table and figure stands the command that makes it.
 """

@@ -322,4 +322,4 @@ def _power(value: float) -> str:
     return f"{10.0 ** math.floor(math.log10(value)):.0e}"
 
 
-ARTEFACT = Artefact("table-10", "Table 10. Failure gallery", CAPTION, jobs, build)
+ARTEFACT = Artefact("table-10", "Table 10: failure gallery", CAPTION, jobs, build)

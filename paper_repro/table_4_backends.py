@@ -99,4 +99,4 @@ It does *not* say that these backends are inaccurate: each solves the QP that it
 to. J is cut to the rank that all share, but for mink, which builds its own. Native backends (`…-warm`) are kept for the
 lexicographic stages only."""
 
-ARTEFACT = Artefact("table-4", "Table 4. Closed form against every backend and formulation", CAPTION, jobs, build)
+ARTEFACT = Artefact("table-4", "Table 4: closed form against every backend and formulation", CAPTION, jobs, build)

@@ -136,4 +136,4 @@ step. A least norm that is a level of its own needs no δ (table 4, lexicographi
 
 It does *not* show the tolerance of a solver, which table 4 does: few solvers are as exact as this one."""
 
-ARTEFACT = Artefact("table-5", "Table 5. Damping: bias against rounding", CAPTION, jobs, build)
+ARTEFACT = Artefact("table-5", "Table 5: damping: bias against rounding", CAPTION, jobs, build)

@@ -81,4 +81,4 @@ large ratios, but its dθ stops where the damping is too weak to decide. Strict 
 
 It does *not* show what a large ratio does together with active limits."""
 
-ARTEFACT = Artefact("table-6", "Table 6. Ratio of weights towards strict priorities", CAPTION, jobs, build)
+ARTEFACT = Artefact("table-6", "Table 6: ratio of weights towards strict priorities", CAPTION, jobs, build)

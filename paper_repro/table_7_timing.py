@@ -153,4 +153,4 @@ With as few steps as these, p99 is close to max.
 **To see:** ratios between rows. Absolute times are of a shared machine, hang on its load and differ from run to run:
 this table is kept apart from the others. It does *not* show larger arms, nor solvers at looser accuracies than 1e-8."""
 
-ARTEFACT = Artefact("table-7", "Table 7. Time of a step", CAPTION, timed_jobs, build, timed=True)
+ARTEFACT = Artefact("table-7", "Table 7: time of a step", CAPTION, timed_jobs, build, timed=True)

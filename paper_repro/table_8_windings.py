@@ -14,7 +14,6 @@ from prioritized_ik.weights import KINDS
 from prioritized_ik.winding.episode import Outcome
 from prioritized_ik.winding.settings import WindingSettings
 
-ALL = "all"  # directions together
 WEIGHT_NAMES = {"eq23": "Eq. 23", "eq24": "Eq. 24", "strict": "strict"}
 
 #: Figures with a median and a worst value: key in `measured`, what makes it of the table's unit, and which one is worst.
@@ -75,18 +74,31 @@ def directions(scale: Scale) -> tuple[str, ...]:
 
 
 def cases(scale: Scale) -> list[tuple[str, str, str]]:
-    """Return weights, method and direction of each case, those from all directions together first."""
-    sides = directions(scale)
-    return [(w, m, d) for w in KINDS for m in METHODS for d in ((ALL,) * (len(sides) > 1) + sides)]
+    """Return direction, weights and method of each case."""
+    return [(direction, weights, method) for direction in directions(scale) for weights in KINDS for method in METHODS]
 
 
 def jobs(scale: Scale) -> list[Job]:
     """Return one job a winding."""
     return [
         measured_job(winding(direction, weights, method, seed))
-        for weights, method, direction in cases(scale)
-        if direction != ALL
+        for direction, weights, method in cases(scale)
         for seed in range(scale.seeds)
+    ]
+
+
+def found(scale: Scale, results: Results, sides: tuple[str, ...], weights: str, method: str) -> list[dict[str, Any]]:
+    """Return the figures of the windings from `sides` and all seeds."""
+    return [results[measured_job(winding(d, weights, method, seed))] for d in sides for seed in range(scale.seeds)]
+
+
+def two_rows(head: tuple[Cell, ...], wound: list[dict[str, Any]]) -> list[tuple[Cell, ...]]:
+    """Return the rows of median and worst figures of windings, `head` before them and their numbers after the former."""
+    says = sum(figures["outcome"] == Outcome.WOUND.name for figures in wound)
+    counts = (len(wound), says, sum(map(is_wound, wound)))
+    return [
+        (*head, "median", *(figure(wound, key, median) for key in FIGURES), *counts),
+        (*head, "worst", *(figure(wound, key, worst) for key, (_, worst) in FIGURES.items()), None, None, None),
     ]
 
 
@@ -94,15 +106,10 @@ def build(scale: Scale, results: Results) -> Table:
     """Return the table."""
     rows: list[tuple[Cell, ...]] = []
     every: list[dict[str, Any]] = []
-    for weights, method, direction in cases(scale):
-        sides = directions(scale) if direction == ALL else (direction,)
-        wound = [results[measured_job(winding(d, weights, method, seed))] for d in sides for seed in range(scale.seeds)]
-        head = (direction, WEIGHT_NAMES[weights], METHOD_NAMES[method])
-        says = sum(figures["outcome"] == Outcome.WOUND.name for figures in wound)
-        counts = (len(wound), says, sum(map(is_wound, wound)))
-        rows.append((*head, "median", *(figure(wound, key, median) for key in FIGURES), *counts))
-        rows.append((*head, "worst", *(figure(wound, key, worst) for key, (_, worst) in FIGURES.items()), None, None, None))
-        every += wound if direction != ALL else []
+    for direction, weights, method in cases(scale):
+        wound = found(scale, results, (direction,), weights, method)
+        rows += two_rows((direction, WEIGHT_NAMES[weights], METHOD_NAMES[method]), wound)
+        every += wound
     return Table(COLUMNS, tuple(rows), _notes(scale, results, every))
 
 
@@ -121,11 +128,7 @@ def _notes(scale: Scale, results: Results, every: list[dict[str, Any]]) -> str:
     for method in METHODS:
         steps, paths = [], []
         for weights in KINDS:
-            wound = [
-                results[measured_job(winding(d, weights, method, seed))]
-                for d in directions(scale)
-                for seed in range(scale.seeds)
-            ]
+            wound = found(scale, results, directions(scale), weights, method)
             steps.append(f"{1e3 * median([figures['free_step'] for figures in wound]):.2f}")
             paths.append(f"{median([figures['tail_path'] for figures in wound]):.2f}")
         names = ", ".join(WEIGHT_NAMES[weights] for weights in KINDS)
@@ -137,4 +140,4 @@ def _notes(scale: Scale, results: Results, every: list[dict[str, Any]]) -> str:
     return "\n\n".join(sentences)
 
 
-ARTEFACT = Artefact("table-8", "Table 8. Winding outcomes over random initial poses", CAPTION, jobs, build)
+ARTEFACT = Artefact("table-8", "Table 8: winding outcomes over random initial poses", CAPTION, jobs, build)

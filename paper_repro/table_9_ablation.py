@@ -113,4 +113,4 @@ def _cells(figures: list[dict[str, Any]]) -> tuple[Cell, ...]:
     )
 
 
-ARTEFACT = Artefact("table-9", "Table 9. Ablation of the constraints", CAPTION, jobs, build)
+ARTEFACT = Artefact("table-9", "Table 9: ablation of the constraints", CAPTION, jobs, build)

@@ -153,7 +153,8 @@ def test_tables_go_between_the_markers_of_a_file(made, tmp_path):
     result = paper("--quick", "--out", str(made), "--only", "table-3", "--readme", str(file))
     assert result.exit_code == 0, result.output
     text = file.read_text(encoding="utf-8")
-    table = (made / "tables" / "table-3.md").read_text(encoding="utf-8").partition("\n\n")[2]
+    table = (made / "tables" / "table-3.md").read_text(encoding="utf-8")
+    table = table[table.index("| ") :]
     assert text == f"before\n<!-- paper: table-3 -->\n{table}<!-- end of table -->\nafter\n"
 
 

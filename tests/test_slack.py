@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from winding_fixtures import constrained_steps, free_steps
 
-from comparisons.run import jobs
+from comparisons.cases import cases_of
+from comparisons.jobs import replays
 from comparisons.settings import ComparisonSettings
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
@@ -199,5 +200,5 @@ def test_the_arm_winds_by_the_slack_qp():
 
 def test_the_comparison_replays_the_slack_qp_with_solvers_that_take_it():
     settings = ComparisonSettings(solvers=("daqp", "daqp-warm"), directions=("up",), formulations=("slack",))
-    replayed = {(job.solver, job.formulation) for job in jobs(settings) if job.kind == "replay"}
+    replayed = {(job.solver, job.formulation) for job in replays(settings, cases_of(settings))}
     assert {solver for solver, formulation in replayed if formulation == "slack"} == {"daqp"}
