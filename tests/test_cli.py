@@ -154,7 +154,7 @@ def test_an_unknown_option_is_bad_usage() -> None:
 def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     folder = tmp_path_factory.mktemp("compare")
     (folder / "page.md").write_text("above\n<!-- table: make readme -->\nformer\n<!-- end of table -->\nbelow\n")
-    arguments = ["--solvers", "daqp,quadprog", "--directions", "up", "--steps", "10", "--link", "12"]
+    arguments = ["--solvers", "daqp,quadprog", "--directions", "up", "--steps", "10", "--link", "12", "--repeats", "2"]
     places = ["--out", str(folder / "out"), "--json", str(folder / "all.json"), "--readme", str(folder / "page.md")]
     return folder, call("compare", *arguments, *places, "--strict")
 
@@ -209,7 +209,19 @@ def test_compare_goes_on_where_it_was_and_refuses_results_of_other_settings(comp
     part = sorted((out / "parts/steps").iterdir())[0]
     others = {path: path.stat().st_mtime_ns for path in (out / "parts").rglob("*.parquet") if path != part}
     part.unlink()
-    arguments = ["compare", "--solvers", "daqp,quadprog", "--directions", "up", "--link", "12", "--out", str(out)]
+    arguments = [
+        "compare",
+        "--solvers",
+        "daqp,quadprog",
+        "--directions",
+        "up",
+        "--link",
+        "12",
+        "--repeats",
+        "2",
+        "--out",
+        str(out),
+    ]
     assert call(*arguments, "--steps", "10").exit_code == 0
     assert part.exists()
     assert {path: path.stat().st_mtime_ns for path in others} == others
