@@ -58,7 +58,7 @@ def solvers() -> None:
 @click.option("--rank-tolerance", default=1e-4, help="Shared by all: singular values below this fraction count as zero.")
 @click.option("--damping", default=1e-12, help="Of the damped and slack formulations.")
 @click.option("--closed-form-first/--no-closed-form-first", default=False, help="Skip the QP where no row binds.")
-@click.option("--repeats", default=2, help="Solve each problem so often; times are medians.")
+@click.option("--repeats", default=1, help="Solve each problem so often; times are medians.")
 @click.option("--drive/--no-drive", default=True, help="Let every solver wind the arm itself as well.")
 @click.option("--mink/--no-mink", default=True, help="Compare with mink.solve_ik.")
 @click.option(

@@ -63,7 +63,7 @@ class ComparisonSettings:
     rank_tolerance: float = RANK_TOLERANCE
     damping: float = 1e-12
     closed_form_first: bool = False
-    repeats: int = 2
+    repeats: int = 1
     drive: bool = True
     mink: bool = True
     witness: bool = False

@@ -153,7 +153,7 @@ def test_an_unknown_option_is_bad_usage() -> None:
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     folder = tmp_path_factory.mktemp("compare")
-    arguments = ["--solvers", "daqp,quadprog", "--directions", "up", "--steps", "10", "--link", "12"]
+    arguments = ["--solvers", "daqp,quadprog", "--directions", "up", "--steps", "10", "--link", "12", "--repeats", "2"]
     places = ["--out", str(folder / "out"), "--json", str(folder / "all.json")]
     return folder, call("compare", *arguments, *places, "--strict")
 
@@ -208,7 +208,19 @@ def test_compare_goes_on_where_it_was_and_refuses_results_of_other_settings(comp
     part = sorted((out / "parts/steps").iterdir())[0]
     others = {path: path.stat().st_mtime_ns for path in (out / "parts").rglob("*.parquet") if path != part}
     part.unlink()
-    arguments = ["compare", "--solvers", "daqp,quadprog", "--directions", "up", "--link", "12", "--out", str(out)]
+    arguments = [
+        "compare",
+        "--solvers",
+        "daqp,quadprog",
+        "--directions",
+        "up",
+        "--link",
+        "12",
+        "--repeats",
+        "2",
+        "--out",
+        str(out),
+    ]
     assert call(*arguments, "--steps", "10").exit_code == 0
     assert part.exists()
     assert {path: path.stat().st_mtime_ns for path in others} == others
