@@ -192,7 +192,7 @@ def compare(
         click.echo(f"Report: {page}")
         if show_page:
             webbrowser.open(page.absolute().as_uri())
-    disagreeing = [row for row in rows if row.must_agree and row.verdict != "agrees"]
+    disagreeing = [row for row in rows if row.must_agree and not row.agrees]
     if strict and disagreeing:
         for row in disagreeing:
             asked = "" if row.accuracy is None else f", accuracy {row.accuracy:g}"

@@ -60,7 +60,7 @@ class Row:
         constrained_time_p50_s: of building, solving and polishing on constrained steps.
         turns_ratio_min, penetration_max_m, bend_max_rad, drift_max_m: worst of the driven episodes.
         wound: driven episodes that reached equilibrium [1], of `episodes`.
-        verdict: `reference`, `agrees`, `disagrees: …` or `fails: …`.
+        verdict: `reference`, `agrees`, `agrees: strays …` (see `abilities.py`), `disagrees: …` or `fails: …`.
     """
 
     solver: str
@@ -106,6 +106,11 @@ class Row:
         return self.free_steps + self.constrained_steps
 
     @property
+    def agrees(self) -> bool:
+        """Whether the verdict is that it agrees."""
+        return self.verdict.startswith("agrees")
+
+    @property
     def must_agree(self) -> bool:
         """Whether this row claims to be the closed form wherever nothing binds."""
         return self.formulation == "lexicographic"
@@ -125,7 +130,7 @@ def summarise(steps: polars.DataFrame, episodes: polars.DataFrame, time_limit: f
     order = ("closed form", "lexicographic", "witness", "mink", "damped", "slack")
     return sorted(
         rows,
-        key=lambda row: (order.index(row.formulation), row.verdict != "agrees", row.solver, -(row.accuracy or 0.0)),
+        key=lambda row: (order.index(row.formulation), not row.agrees, row.solver, -(row.accuracy or 0.0)),
     )
 
 
@@ -205,9 +210,8 @@ def _verdict(row: Row) -> str:
         return f"disagrees: dX {row.free_dx_error_max:.0e}"
     if row.cost_gap_max is not None and row.cost_gap_max > AGREES:
         return f"disagrees: cost {row.cost_gap_max:.0e}"
-    if row.constrained_dx_error_max is not None and row.constrained_dx_error_max > max(
-        AGREES, abilities_of(row.solver).strays
-    ):
+    strays = max(AGREES, abilities_of(row.solver).strays)
+    if row.constrained_dx_error_max is not None and row.constrained_dx_error_max > strays:
         return f"disagrees: bound dX {row.constrained_dx_error_max:.0e}"
     if row.must_agree and row.certified_fraction is not None and row.certified_fraction < CERTIFIED_ENOUGH:
         return f"disagrees: {row.certified_fraction:.1%} certified"
@@ -215,6 +219,8 @@ def _verdict(row: Row) -> str:
         return f"disagrees: certified dθ {row.certified_dtheta_spread_max:.0e}"
     if row.wound < row.episodes:
         return f"fails: {row.episodes - row.wound}/{row.episodes} windings"
+    if row.constrained_dx_error_max is not None and row.constrained_dx_error_max > AGREES:
+        return f"agrees: strays dX {row.constrained_dx_error_max:.0e}"
     return "agrees"
 
 

@@ -40,8 +40,8 @@ def finding(rows: list[Row]) -> str:
     def who(row: Row) -> str:
         return f"{row.solver} at {row.accuracy:.0e}" if several and row.accuracy is not None else row.solver
 
-    agree = [row for row in claim if row.verdict == "agrees"]
-    others = [f"{who(row)} {row.verdict}" for row in claim if row.verdict != "agrees"]
+    agree = [row for row in claim if row.agrees]
+    others = [f"{who(row)} {row.verdict}" for row in claim if not row.agrees]
     noun = "pairs of solver and accuracy" if several else "solvers"
     if not others:
         text = f"All {len(claim)} {noun} agree with the closed form and with each other."
