@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from paper_repro.jobs import Job, Results
+from paper_repro.jobs import Job, Results, library_digest
 from paper_repro.table import Table
 
 if TYPE_CHECKING:
@@ -29,6 +29,11 @@ class Scale:
     steps: int
     directions: tuple[str, ...]
     solvers: tuple[str, ...] | None
+
+    @property
+    def stamp(self) -> str:
+        """What an artefact says of how it was made: the scale, and a digest of the library, packages and solvers."""
+        return f"<!-- {self.name} {library_digest()} -->"
 
     @property
     def quick(self) -> bool:

@@ -23,10 +23,10 @@ def build(artefacts: list[Artefact], out: Path, scale: Scale, workers: int, prog
     Raises:
         InputError: `out` is not writable.
     """
-    results = run((job for artefact in artefacts for job in artefact.jobs(scale)), out / ANSWERS, workers, progress)
     try:
+        results = run((job for artefact in artefacts for job in artefact.jobs(scale)), out / ANSWERS, workers, progress)
         written = [path for artefact in artefacts for path in write(artefact, out, scale, results)]
-        return [*written, *write_report(by_chapter(), out)]
+        return [*written, *write_report(by_chapter(), out, scale)]
     except OSError as error:
         raise InputError(f"cannot write into {str(out)!r} ({error}); choose a folder that is writable.") from error
 
@@ -38,7 +38,7 @@ def write(artefact: Artefact, out: Path, scale: Scale, results: Results) -> list
     text.parent.mkdir(parents=True, exist_ok=True)
     command = f"prioritized-ik paper --only {artefact.name}{' --quick' if scale.quick else ''}"
     head = f"### {artefact.title}\n\n{artefact.caption}\n\n"
-    foot = f"\nMade by `{command}`.\n"
+    foot = f"\nMade by `{command}`.\n\n{scale.stamp}\n"
     if isinstance(made, Table):
         forms = {"csv": made.csv(), "tex": f"% {command}\n{made.latex()}", "md": head + made.markdown() + foot}
         for kind, content in forms.items():

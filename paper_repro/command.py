@@ -32,6 +32,7 @@ def paper(context: click.Context, out: str, names: str, quick: bool, workers: in
     from paper_repro.artefact import FULL, QUICK
     from prioritized_ik.validation import at_least
 
+    _require_extra()
     scale = QUICK if quick else FULL
     processes = at_least("workers", workers if workers is not None else os.cpu_count() or 1, 1)
     context.obj = (scale, Path(out), processes)
@@ -50,7 +51,7 @@ def paper(context: click.Context, out: str, names: str, quick: bool, workers: in
     for path in files:
         click.echo(path)
     if readme is not None:
-        fill(Path(readme), folder)
+        fill(Path(readme), folder, scale)
 
 
 @paper.command()
@@ -80,6 +81,17 @@ def check(given: "tuple[Scale, Path, int]") -> None:
     Console(width=None if os.isatty(1) else FILE_WIDTH).print(drawn)
     if any(finding.unexpected for finding in findings):
         raise SystemExit(DISAGREES)
+
+
+def _require_extra() -> None:
+    """Raise an `InputError` if what draws and writes is not installed."""
+    from importlib.util import find_spec
+
+    from prioritized_ik.errors import InputError
+
+    missing = [name for name in ("markdown_it", "matplotlib", "pylatexenc") if find_spec(name) is None]
+    if missing:
+        raise InputError(f"{', '.join(missing)} not installed; get the extra by: pip install 'prioritized-ik[report]'.")
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
+from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.validation import Array
 from prioritized_ik.virtual_arms import VirtualArms
 
@@ -87,7 +88,7 @@ def disagreement(winding: str, steps: int) -> dict[str, list[list[Any]]]:
             answers = [joint_step(posed.item.problem, backend, options) for backend in backends]
             raw = [answer.raw for answer in answers if answer.raw is not None and answer.found]
             apart.append(max(relative(own, np.median(raw, axis=0)) for own in raw) if len(raw) == len(SOLVERS) else None)
-            certified.append(sum(answer.certificate is not None and answer.certificate.holds for answer in answers))
+            certified.append(sum(answer.status is StepStatus.SOLVED for answer in answers))
         found["apart"].append(apart)
         found["certified"].append(certified)
     return found

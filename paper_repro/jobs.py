@@ -1,8 +1,8 @@
 """Work that is done once: calls with JSON arguments and JSON answers, run in processes, each answer kept in a file.
 
 A run that was interrupted goes on with what is done. An answer counts only for the very code, packages and solvers that
-gave it: the folder is named by a digest of the library, the packages and the solvers, and folders of others are removed;
-the file is named by the call and a digest of the modules of `paper_repro` that its function can reach.
+gave it: the folder is named by a digest of the library, the packages and the solvers, and folders of others are removed
+once all is done; the file is named by the call and a digest of the modules of `paper_repro` and `comparisons` that its function can reach.
 """
 
 import ast
@@ -11,6 +11,7 @@ import hashlib
 import importlib.metadata
 import json
 import platform
+import re
 import shutil
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, as_completed
@@ -29,7 +30,10 @@ from prioritized_ik.solvers.backends.registry import installed_solvers
 Json = Any  # what `json` writes and reads back unchanged
 Progress = Callable[[str, int, int], None]  # what is done, how many are, of how many
 
-PACKAGES = ("mujoco", "mink", "qpsolvers", "numpy", "scipy", "cvxpy", "matplotlib")
+_DESK = re.compile("[0-9a-f]{16}")  # names of folders of answers
+
+PACKAGES = {"paper_repro": paper_repro, "comparisons": comparisons}  # of ours, beside the library
+CALLED = ("mujoco", "mink", "qpsolvers", "numpy", "scipy", "cvxpy", "matplotlib")
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,7 @@ def run(jobs: Iterable[Job], folder: Path, workers: int, progress: Progress) -> 
 
     Args:
         jobs: what to do; doubles are done once.
-        folder: where answers are kept.
+        folder: where answers are kept; of one run at a time.
         workers: processes.
         progress: called as jobs end.
 
@@ -86,9 +90,6 @@ def run(jobs: Iterable[Job], folder: Path, workers: int, progress: Progress) -> 
         Exception: whatever a job raises; what was done is kept.
     """
     desk = folder / library_digest()
-    for other in folder.glob("*/"):
-        if other != desk:
-            shutil.rmtree(other)
     desk.mkdir(parents=True, exist_ok=True)
     wanted = {job.key: job for job in jobs}
     answers = {key: answer for key in wanted if (answer := _kept(desk / f"{key}.json")) is not None}
@@ -108,25 +109,28 @@ def run(jobs: Iterable[Job], folder: Path, workers: int, progress: Progress) -> 
                 except BaseException:
                     pool.shutdown(wait=False, cancel_futures=True)
                     raise
+    for other in folder.iterdir():
+        if other != desk and other.is_dir() and _DESK.fullmatch(other.name):
+            shutil.rmtree(other)
     return Results(answers)
 
 
+@functools.cache
 def library_digest() -> str:
-    """Return a digest of all that decides on answers outside `paper_repro`: our code, and the versions of what it calls."""
+    """Return a digest of the library and of the versions of what it calls."""
     digest = hashlib.sha256(platform.python_version().encode())
-    for package in (prioritized_ik, comparisons):
-        root = Path(next(iter(package.__path__)))
-        for path in sorted(root.rglob("*.py")):
-            digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+    root = Path(next(iter(prioritized_ik.__path__)))
+    for path in sorted(root.rglob("*.py")):
+        digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     solvers = {abilities_of(name).package for name in installed_solvers(on_request=True)}
-    for name in sorted({*PACKAGES, *solvers}):
+    for name in sorted({*CALLED, *solvers}):
         digest.update(f"{name} {importlib.metadata.version(name)}".encode())
     return digest.hexdigest()[:16]
 
 
 @functools.cache
 def _module_digest(module: str) -> str:
-    """Return a digest of a module and of all of `paper_repro` that it imports, at whatever depth."""
+    """Return a digest of a module and of all of `PACKAGES` that it imports, at whatever depth."""
     digest = hashlib.sha256()
     for name in sorted(_reached(module)):
         digest.update(name.encode() + _source(name))
@@ -149,10 +153,12 @@ def _reached(module: str) -> set[str]:
 
 
 def _source(name: str) -> bytes:
-    """Return the text of a module of `paper_repro`, nothing for any other name."""
+    """Return the text of a module of `PACKAGES`, nothing for any other name."""
     package, *rest = name.split(".")
-    path = Path(next(iter(paper_repro.__path__))).joinpath(*rest).with_suffix(".py")
-    return path.read_bytes() if package == "paper_repro" and rest and path.is_file() else b""
+    if package not in PACKAGES or not rest:
+        return b""
+    path = Path(next(iter(PACKAGES[package].__path__))).joinpath(*rest).with_suffix(".py")
+    return path.read_bytes() if path.is_file() else b""
 
 
 def _keep(path: Path, job: Job, answer: Json) -> Json:

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+from paper_repro.artefact import Scale
 from paper_repro.catalogue import chosen
 from prioritized_ik.errors import InputError
 from prioritized_ik.files import write_whole
@@ -25,19 +26,20 @@ def marked(file: Path) -> list[str]:
     return names
 
 
-def fill(file: Path, out: Path) -> None:
+def fill(file: Path, out: Path, scale: Scale) -> None:
     """Put the tables made in `out` between the markers of `file`, without headings and captions.
 
     Raises:
-        InputError: one was not made, or the file cannot be written.
+        InputError: one was not made, or at another scale or by another version; or the file cannot be written.
     """
     tables = {}
     for artefact in chosen(tuple(marked(file))):
         path = artefact.file(out, "md")
-        if not path.is_file():
-            raise InputError(f"{artefact.name} was not made in {str(out)!r}; run without --only, or with it named.")
-        _, bar, body = path.read_text(encoding="utf-8").partition("\n|")
-        tables[artefact.name] = bar[1:] + body
+        text, stamp, _ = path.read_text(encoding="utf-8").partition(scale.stamp) if path.is_file() else ("", "", "")
+        if not stamp:
+            raise InputError(f"{artefact.name} was not made now in {str(out)!r}; run without --only, or with it named.")
+        _, bar, body = text.partition("\n|")
+        tables[artefact.name] = bar[1:] + body.rstrip() + "\n"
     text = MARKED.sub(lambda match: match[1] + tables[match["name"]] + match[3], file.read_text(encoding="utf-8"))
     try:
         write_whole(file, lambda handle: handle.write(text.encode("utf-8")))

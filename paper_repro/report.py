@@ -11,7 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from paper_repro.artefact import Artefact
+from paper_repro.artefact import Artefact, Scale
 from prioritized_ik.files import write_whole
 
 TITLE = "The paper, reproduced"
@@ -30,8 +30,14 @@ Under every table and figure stands the command that makes it.
 """
 
 
-def write_report(chapters: dict[str, list[Artefact]], out: Path) -> list[Path]:
-    """Write `report.md` and `report.html` into `out` from the artefacts that are there, and return them."""
+OUTDATED = "What is there was made at another scale or by another version; `prioritized-ik paper --only {}` makes it anew."
+
+
+def write_report(chapters: dict[str, list[Artefact]], out: Path, scale: Scale) -> list[Path]:
+    """Write `report.md` and `report.html` into `out` from the artefacts that are there, and return them.
+
+    One that was made at another scale, or by another version, is named but not shown.
+    """
     markdown, html = [f"# {TITLE}\n", INTRODUCTION], [INTRODUCTION]
     contents = []
     for chapter, artefacts in chapters.items():
@@ -42,10 +48,12 @@ def write_report(chapters: dict[str, list[Artefact]], out: Path) -> list[Path]:
         markdown.append(f"## {chapter}\n")
         html.append(f"## {chapter}\n")
         for artefact, path in made:
-            text = path.read_text(encoding="utf-8")
+            text, stamp, _ = path.read_text(encoding="utf-8").partition(scale.stamp)
+            if not stamp:
+                text = f"### {artefact.title}\n\n{OUTDATED.format(artefact.name)}\n"
             place = path.relative_to(out)
             moved = re.sub(r"\]\((?!https?:|#)", f"]({place.parent}/", text)
-            if artefact.timed:
+            if artefact.timed and stamp:
                 told = f"Measured times, which no two runs share, are kept apart: [{place}]({place})."
                 moved = f"### {artefact.title}\n\n{told}\n"
             markdown.append(moved)

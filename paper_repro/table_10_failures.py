@@ -50,7 +50,7 @@ COLUMNS = (
 CAPTION = """\
 Each failure is provoked and measured, and so is the library's own way in its place. Windings start straight with Eq. 23;
 by symmetry those from below and behind mirror those from above and in front, so that the latter two are all there is.
-Faulty ones get twice the steps that a right one takes. *Says wound* counts those that end with every link in contact,
+*Says wound* counts those that end with every link in contact,
 *wound* those that are (as in Table 8), *turns* are the least of the row and everything else the worst. Steps near
 singular poses ask 1 mm (length of the stacked displacement) in the direction of the end-point space that is being lost.
 
@@ -88,7 +88,7 @@ class Windings:
         sides = ("up",) if scale.quick else ("up", "front")
         changes: dict[str, Any] = dict(self.changes)
         if self.fault:
-            changes["max_steps"] = STEPS_QUICK if scale.quick else STEPS
+            changes["max_steps"] = _steps(scale)
         chosen = [settings(self.method, direction=side, **changes) for side in sides]
         return [faulty_job(self.fault, one) if self.fault else measured_job(one) for one in chosen]
 
@@ -127,7 +127,11 @@ def jobs(scale: Scale) -> list[Job]:
 def build(scale: Scale, results: Results) -> Table:
     """Return the table."""
     rows = [*_singular(results), *_solves(results), *_touch(scale, results), *_sweep(scale, results), *_strict(results)]
-    return Table(COLUMNS, tuple(rows))
+    return Table(COLUMNS, tuple(rows), f"Faulty windings are given up after {_steps(scale)} steps.")
+
+
+def _steps(scale: Scale) -> int:
+    return STEPS_QUICK if scale.quick else STEPS
 
 
 Row = tuple[str, str, str, str, str]

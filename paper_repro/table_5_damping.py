@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import scipy.linalg
@@ -12,8 +12,8 @@ from paper_repro.jobs import Job, Results
 from paper_repro.replays import median, relative, sampled, windings
 from paper_repro.table import Cell, Column, Table
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
-from prioritized_ik.solvers.backends.registry import ACCURACY
+from prioritized_ik.solvers.backends.protocol import Backend
+from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage
 from prioritized_ik.validation import Array
@@ -51,7 +51,7 @@ def by_orthogonal_factors(problem: IKProblem, damping: float) -> Array | None:
 def by_qp(formulation: str, problem: IKProblem, damping: float) -> Array | None:
     """The same `(m,)` as one QP with all rows, as it stands; None if the solver fails."""
     stage = first_stage(problem, SolveOptions(formulation, damping=damping))
-    x = QpsolversBackend(SOLVER, ACCURACY).solve(stage).x
+    x = cast(Backend, get_backend(SOLVER)).solve(stage).x
     return None if x is None else stage.dtheta(x)
 
 

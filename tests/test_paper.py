@@ -2,6 +2,7 @@
 
 import csv
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -154,7 +155,7 @@ def test_tables_go_between_the_markers_of_a_file(made, tmp_path):
     assert result.exit_code == 0, result.output
     text = file.read_text(encoding="utf-8")
     table = (made / "tables" / "table-3.md").read_text(encoding="utf-8")
-    table = table[table.index("| ") :]
+    table = table[table.index("| ") : table.index("\n<!-- ")]
     assert text == f"before\n<!-- paper: table-3 -->\n{table}<!-- end of table -->\nafter\n"
 
 
@@ -163,7 +164,7 @@ def test_tables_go_between_the_markers_of_a_file(made, tmp_path):
     [
         ("nothing", "has no place for a table"),
         ("<!-- paper: table-99 -->\n<!-- end of table -->", "unknown artefact 'table-99'"),
-        ("<!-- paper: table-1 -->\n<!-- end of table -->", "table-1 was not made in"),
+        ("<!-- paper: table-1 -->\n<!-- end of table -->", "table-1 was not made now in"),
     ],
 )
 def test_a_file_without_a_fitting_place_is_left_as_it_is(text, message, tmp_path):
@@ -185,3 +186,21 @@ def test_the_tables_of_the_readme_are_ones_that_the_command_makes(made):
         text = by_name[name].file(made, "md").read_text(encoding="utf-8")
         header = next(line for line in text.splitlines() if line.startswith("|"))
         assert header in page, name
+
+
+def test_what_was_made_at_another_scale_is_named_in_the_report_but_not_shown(made, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(made, out, ignore=shutil.ignore_patterns("answers"))
+    result = paper("--out", str(out), "--only", "table-3")
+    assert result.exit_code == 0, result.output
+    text = (out / "report.md").read_text(encoding="utf-8")
+    assert text.count("made at another scale or by another version") == len(NAMES) - 1
+    assert "Made by `prioritized-ik paper --only table-3`." in text
+    assert "--quick" not in text
+
+
+def test_without_its_extra_the_command_says_how_to_get_it(monkeypatch, tmp_path):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "pylatexenc" else object())
+    result = paper("--out", str(tmp_path / "out"), "--only", "table-3")
+    assert result.exit_code == 2
+    assert "pip install 'prioritized-ik[report]'" in result.output
