@@ -2,7 +2,8 @@
 
 A run that was interrupted goes on with what is done. An answer counts only for the very code, packages and solvers that
 gave it: the folder is named by a digest of the library, the packages and the solvers, and folders of others are removed
-once all is done; the file is named by the call and a digest of the modules of `paper_repro` and `comparisons` that its function can reach.
+once all is done; the file is named by the call and a digest of the modules of `paper_repro` and `comparisons` that its
+function can reach.
 """
 
 import ast
