@@ -9,6 +9,7 @@ from typing import Any
 
 from comparisons.settings import RECORDER, ComparisonSettings
 from prioritized_ik.errors import EpisodeFileError, InputError
+from prioritized_ik.files import UNREADABLE
 from prioritized_ik.models import Arm
 from prioritized_ik.winding.episode import Episode
 from prioritized_ik.winding.settings import WindingSettings
@@ -81,9 +82,9 @@ def own_files(folder: str) -> tuple[list[Path], list[Path]]:
     episodes, qps = [], []
     for path in sorted(Path(folder).glob("*.npz")):
         try:
-            with np.load(path, allow_pickle=False) as content:
+            with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as content:
                 names = set(content.files)
-        except (OSError, ValueError) as error:
+        except UNREADABLE as error:
             raise EpisodeFileError(f"cannot read {str(path)!r} ({error}); expected a saved episode or QP.") from error
         if {"P", "q"} <= names:
             qps.append(path)

@@ -73,7 +73,7 @@ def solvers() -> None:
 @click.option("--resume/--fresh", default=True, help="Do what the folder lacks, or delete its results first.")
 @click.option("--open", "show_page", is_flag=True, help="Open the report in a browser.")
 @click.option("--json", "json_file", type=click.Path(dir_okay=False), help="File for what the table shows, as JSON.")
-@click.option("--strict", is_flag=True, help="Exit with 1 if a lexicographic row does not agree.")
+@click.option("--strict", is_flag=True, help="Exit with 1 if a lexicographic row does not agree, with 2 if there is none.")
 def compare(
     names: str | None,
     directions: str,
@@ -116,7 +116,7 @@ def compare(
     from comparisons.page import write_page
     from comparisons.plugins import load_plugins
     from comparisons.report import LEGEND, show, show_qps
-    from comparisons.results import write_json, write_tables
+    from comparisons.results import json_rows, write_json, write_tables
     from comparisons.run import facts, run
     from comparisons.settings import ComparisonSettings
     from comparisons.store import Store
@@ -179,7 +179,8 @@ def compare(
             write_tables(store, settings, rows)
             page = write_page(folder, store, rows)
     if json_file is not None:
-        write_json(Path(json_file), {**facts(settings), "rows": [asdict(row) for row in rows]})
+        content = {"rows": [asdict(row) for row in rows], "qps": json_rows(own_qps)}
+        write_json(Path(json_file), {**facts(settings), **content})
     console = Console(width=None if os.isatty(1) else FILE_WIDTH)
     show(rows, console)
     click.echo(LEGEND)
@@ -192,6 +193,11 @@ def compare(
         click.echo(f"Report: {page}")
         if show_page:
             webbrowser.open(page.absolute().as_uri())
+    if strict and not any(row.must_agree for row in rows):
+        raise InputError(
+            "--strict checks lexicographic rows, and there is none, so that nothing was checked; expected 'lexicographic' "
+            "among --formulation, and an episode among --recorded if given."
+        )
     disagreeing = [row for row in rows if row.must_agree and not row.agrees]
     if strict and disagreeing:
         for row in disagreeing:

@@ -17,10 +17,10 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from prioritized_ik.errors import InputError
 
@@ -30,7 +30,12 @@ STARTING = 60.0  # [s] a process may take for its start on top of the time limit
 HEARS = 0.5  # [s] until a call of `stop` is heard
 ORPHAN = 5.0  # [s] after its time limit a process ends itself
 
+#: Work ends after as many items in a row that cost a process, each perhaps a whole time limit; the rest count as failed.
+IN_A_ROW = 3
+
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+Item = TypeVar("Item")
 
 _stopped = threading.Event()
 _one_at_a_time = threading.Lock()  # multiprocessing looks after its processes at each start, which takes no second thread
@@ -42,6 +47,18 @@ class Limits:
 
     seconds: float
     memory: int
+
+
+class Tell(Protocol):
+    """What work in a process of its own tells by."""
+
+    def __call__(self, thing: Any, *, ours: bool = False) -> None:
+        """Send a `thing`; None says only that the work goes on.
+
+        Args:
+            thing: sent on at once.
+            ours: whether what follows is no solver's work, and so may take `STARTING` on top of the time limit.
+        """
 
 
 class LostError(Exception):
@@ -64,10 +81,8 @@ class BadAnswerError(Exception):
         self.failure = failure
 
 
-def isolated(work: Callable[..., None], arguments: tuple[Any, ...], limits: Limits) -> Iterator[Any]:
-    """Yield what `work(tell, *arguments)` tells by calls of `tell(thing)`, in a process of its own.
-
-    A `tell(None)` says only that the work goes on, and is not yielded.
+def isolated(work: Callable[..., None], arguments: tuple[Any, ...], limits: Limits) -> Generator[Any, None, None]:
+    """Yield what `work(tell, *arguments)` tells by its `Tell`, None aside, in a process of its own.
 
     Raises:
         LostError: it crashed, hung, took too much memory or raised; what was yielded before stands.
@@ -84,10 +99,10 @@ def isolated(work: Callable[..., None], arguments: tuple[Any, ...], limits: Limi
             here.send((work, arguments))
         while True:
             if not _comes(here, allowed):
-                raise LostError(TIMEOUT, f"no answer within {limits.seconds:g} s")
+                raise LostError(TIMEOUT, f"no answer within {allowed:g} s")
             try:
-                kind, value = here.recv()
-            except (EOFError, ConnectionResetError):
+                kind, value, ours = here.recv()
+            except (EOFError, OSError):  # OSError: in the middle of a message
                 raise _how_it_died(_exit_code(process)) from None
             if kind == "end":
                 return
@@ -95,11 +110,53 @@ def isolated(work: Callable[..., None], arguments: tuple[Any, ...], limits: Limi
                 raise LostError(*value)
             if value is not None:
                 yield value
-            allowed = limits.seconds
+            allowed = limits.seconds + (STARTING if ours else 0.0)
     finally:
         here.close()
         process.kill()
         _exit_code(process)
+
+
+def isolated_each(
+    work: Callable[..., None],
+    items: Sequence[Item],
+    arguments: Callable[[Sequence[Item]], tuple[Any, ...]],
+    failed: Callable[[Item, str, str], dict[str, Any]],
+    limits: Limits,
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return what work tells about itself, and one record for each of `items`, whatever becomes of its processes.
+
+    An item that costs a process counts as failed, and a new process does the rest, or none after `IN_A_ROW` in a row. A
+    process that is lost once all records are there, such as by what a library does at its end, is of no account.
+
+    Args:
+        work: tells one record for each item in turn; and may tell, as `{"about": ...}`, what holds for all of them.
+        items: what there is to do.
+        arguments: makes those of the work from the items that are left.
+        failed: makes the record of an item from it, one of `FAILURES`, and a message.
+        limits: of each process.
+    """
+    about: dict[str, Any] = {}
+    records: list[dict[str, Any]] = []
+    in_a_row = 0
+    while len(records) < len(items):
+        before = len(records)
+        try:
+            with contextlib.closing(isolated(work, arguments(items[before:]), limits)) as things:
+                for thing in things:
+                    if "about" in thing:
+                        about = thing["about"]
+                    else:
+                        records.append(thing)
+                    if len(records) == len(items):
+                        break
+        except LostError as lost:
+            in_a_row = in_a_row + 1 if len(records) == before else 1
+            records.append(failed(items[len(records)], lost.failure, str(lost)))
+            if in_a_row == IN_A_ROW:
+                message = f"not tried, after {IN_A_ROW} in a row: {lost}"
+                records += [failed(item, lost.failure, message) for item in items[len(records) :]]
+    return about, records
 
 
 def prepare() -> None:
@@ -173,18 +230,19 @@ def _serve(connection: Connection, limits: Limits) -> None:
     hard = resource.getrlimit(resource.RLIMIT_AS)[1]
     resource.setrlimit(resource.RLIMIT_AS, (soft if hard == resource.RLIM_INFINITY else min(soft, hard), hard))
 
-    def tell(thing: Any) -> None:
-        connection.send(("thing", thing))
-        signal.setitimer(signal.ITIMER_REAL, limits.seconds + ORPHAN)
+    def tell(thing: Any, *, ours: bool = False) -> None:
+        connection.send(("thing", thing, ours))
+        signal.setitimer(signal.ITIMER_REAL, limits.seconds + (STARTING if ours else 0.0) + ORPHAN)
 
     try:
         work(tell, *arguments)
-        last: tuple[str, Any] = ("end", None)
+        last: tuple[str, Any, bool] = ("end", None, False)
     except MemoryError:
-        last = ("lost", (MEMORY, f"took more than {limits.memory / 2**30:g} GiB"))
+        last = ("lost", (MEMORY, f"took more than {limits.memory / 2**30:g} GiB"), False)
     except Exception as error:  # whose ever it is, it belongs to this work, and is told
         place = traceback.extract_tb(error.__traceback__)[-1]
-        last = ("lost", (ERROR, f"{type(error).__name__}: {error} ({os.path.basename(place.filename)}:{place.lineno})"))
+        where = f"{os.path.basename(place.filename)}:{place.lineno}"
+        last = ("lost", (ERROR, f"{type(error).__name__}: {error} ({where})"), False)
     connection.send(last)
 
 

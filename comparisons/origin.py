@@ -13,7 +13,9 @@ import prioritized_ik
 PACKAGES = ("prioritized-ik", "mujoco", "mink", "qpsolvers", "numpy", "scipy")
 
 #: The modules of `comparisons` that make figures; the others show them, and may change without making them anew.
-MEASURING = ("cases", "isolation", "jobs", "judging", "mink_today", "own_qps", "sample", "tables", "worker")
+MEASURING = (
+    "cases", "isolation", "jobs", "judging", "mink_today", "own_qps", "run", "sample", "settings", "tables", "worker",
+)  # fmt: skip
 
 
 def versions(of_solvers: dict[str, str]) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 import time
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,10 @@ import numpy as np
 import qpsolvers
 import scipy.sparse
 
-from comparisons.isolation import ERROR, MEMORY, NAN, Limits, LostError, isolated
+from comparisons.isolation import ERROR, MEMORY, NAN, Limits, Tell, isolated_each
 from comparisons.tables import QPS, Record
 from prioritized_ik.errors import EpisodeFileError
+from prioritized_ik.files import UNREADABLE
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.qpsolvers_ import SOLVER_ERRORS
 
@@ -23,28 +25,27 @@ def load_qp(path: Path) -> qpsolvers.Problem:
         EpisodeFileError: the file is something else, or damaged.
     """
     try:
-        problem = qpsolvers.Problem.load(str(path))
+        with open(path, "rb") as file:
+            problem = qpsolvers.Problem.load(file)
         problem.check_constraints()
-    except (OSError, ValueError, KeyError, qpsolvers.exceptions.ProblemError) as error:
+    except (*UNREADABLE, qpsolvers.exceptions.ProblemError) as error:
         raise EpisodeFileError(f"cannot read a QP from {str(path)!r} ({error}); write it with `Problem.save`.") from error
     return problem
 
 
 def measure_qps(solver: str, accuracy: float, problems: dict[str, qpsolvers.Problem], limits: Limits) -> list[Record]:
     """Return one record for each of `problems`, by name: what one solver makes of it, in a process of its own."""
-    todo = list(problems)
-    records: list[Record] = []
-    while len(records) < len(todo):
-        rest = {name: problems[name] for name in todo[len(records) :]}
-        try:
-            records.extend(isolated(solve_qps, (solver, accuracy, rest), limits))
-        except LostError as lost:
-            blank = {**dict.fromkeys(QPS), "qp": todo[len(records)], "found": False}
-            records.append({**blank, "failure": lost.failure, "message": str(lost)})
-    return records
+
+    def failed(name: str, failure: str, message: str) -> Record:
+        return {**dict.fromkeys(QPS), "qp": name, "found": False, "failure": failure, "message": message}
+
+    def arguments(names: Sequence[str]) -> tuple[Any, ...]:
+        return solver, accuracy, {name: problems[name] for name in names}
+
+    return isolated_each(solve_qps, list(problems), arguments, failed, limits)[1]
 
 
-def solve_qps(tell: Any, solver: str, accuracy: float, problems: dict[str, qpsolvers.Problem]) -> None:
+def solve_qps(tell: Tell, solver: str, accuracy: float, problems: dict[str, qpsolvers.Problem]) -> None:
     """Tell one record for each of `problems`. Work for `isolation.isolated`."""
     abilities = abilities_of(solver)
     for name, problem in problems.items():

@@ -7,19 +7,15 @@ Arrays of the file, for those who read it without this package: `format`; for ea
 """
 
 import io
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.files import write_whole
+from prioritized_ik.files import UNREADABLE, write_whole
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 
 FORMAT = "prioritized-ik problem 1"
-
-_UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
 def problem_bytes(problem: IKProblem) -> bytes:
@@ -79,7 +75,7 @@ def load_problem(path: str | Path) -> IKProblem:
             content["reference"],
             Equalities(content["equalities_matrix"], content["equalities_target"], _names(content["equalities_names"])),
         )
-    except (*_UNREADABLE, InputError) as error:
+    except (*UNREADABLE, InputError) as error:
         raise InputError(
             f"cannot read a problem from {str(path)!r} ({error}); expected a file of the format {FORMAT!r}, whole."
         ) from error

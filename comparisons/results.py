@@ -24,16 +24,25 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def write_tables(store: Store, settings: ComparisonSettings, rows: list[Row]) -> None:
-    """Write `steps`, `episodes`, `success` and `rows` as one Parquet file each, and `table.md`, into a store's folder."""
+    """Write `store.TABLES` as one Parquet file each, `qps` if there are any, and `table.md`, into a store's folder."""
+    qps = store.qps()
     tables = {
         "steps": store.steps(),
         "episodes": store.episodes(),
         "success": success(store.steps()),
         "rows": polars.DataFrame([asdict(row) for row in rows], infer_schema_length=None),
+        **({} if qps.is_empty() else {"qps": qps}),
     }
     for name, table in tables.items():
         store.write_file(f"{name}.parquet", _parquet(table))
     store.write_file("table.md", lambda file: file.write(markdown(rows, _stated(settings)).encode("utf-8")))
+
+
+def json_rows(table: polars.DataFrame) -> list[dict[str, Any]]:
+    """Return the rows of `table` as JSON takes them: numbers that are not finite as null."""
+    return table.with_columns(
+        polars.when(polars.col(polars.Float64).is_finite()).then(polars.col(polars.Float64)).name.keep()
+    ).to_dicts()
 
 
 def _parquet(table: polars.DataFrame) -> Callable[[BinaryIO], object]:

@@ -9,19 +9,23 @@ The pieces of work are spread (`spread`) over this machine or a cluster; each is
 import hashlib
 import os
 import pickle
+import platform
+import sys
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import asdict, replace
 from functools import lru_cache, partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from comparisons import origin, worker
 from comparisons.cases import Case, cases_of, file_name, own_files
-from comparisons.isolation import Limits, LostError, isolated, prepare
-from comparisons.jobs import Job, drives, replays
+from comparisons.isolation import Limits, LostError, isolated, isolated_each, prepare
+from comparisons.jobs import MINK_ROWS, WITNESS_SOLVER, Job, drives, replays
 from comparisons.own_qps import load_qp, measure_qps
 from comparisons.sample import Sampled, chosen, sampled
-from comparisons.settings import ComparisonSettings
+from comparisons.settings import RECORDER, ComparisonSettings
 from comparisons.spread import Piece, spread_over
 from comparisons.store import Store
 from comparisons.tables import EPISODES, Record
@@ -32,10 +36,6 @@ from prioritized_ik.winding.episode import Outcome
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
 Progress = Callable[[str, int, int], None]  # what is done, how many are, of how many
-
-#: A job ends after as many problems in a row that cost a process, each perhaps a whole time limit; the rest count as
-#: failed.
-IN_A_ROW = 3
 
 SAMPLES = 4  # cases whose problems are kept in memory
 
@@ -58,7 +58,7 @@ def run(settings: ComparisonSettings, folder: Path, progress: Progress, *, keep_
 
     Raises:
         InputError: the folder holds results of other settings, or nobody answers at the scheduler's address.
-        RunError: a case cannot be recorded.
+        RunError: a case cannot be recorded, or a worker of the cluster runs another program.
     """
     prepare()
     run_ = _Run(settings, folder, keep_driven=keep_driven)
@@ -148,9 +148,11 @@ class _Run:
     def _extra_of(self, job: Job) -> worker.Factories:
         return {name: factory for name, factory in self._extra.items() if name == job.solver}
 
-    def _add_case(self, case: Case, told: Record) -> None:
-        free = told["free"]
-        self.store.add_case(case, told["episode"], free, chosen(free, self._settings.steps))
+    def _add_case(self, case: Case, told: tuple[Record, Record]) -> None:
+        where, recorded = told
+        _same_program(where)
+        free = recorded["free"]
+        self.store.add_case(case, recorded["episode"], free, chosen(free, self._settings.steps))
 
     def _add_steps(self, job: Job, told: tuple[Record, list[Record]]) -> None:
         self._add_rows("steps", job.file, self._who(job), told)
@@ -165,6 +167,8 @@ class _Run:
 
     def _add_rows(self, kind: str, name: str, who: Record, told: tuple[Record, list[Record]]) -> None:
         where, rows = told
+        _same_program(where)
+        where = {name: value for name, value in where.items() if name != "host"}
         self.store.add(kind, name, [{**row, **where, **who, "settings": self._digest} for row in rows])
 
     def _who(self, job: Job) -> Record:
@@ -172,14 +176,19 @@ class _Run:
         return {**who, "direction": self._cases[job.case].winding.direction}
 
 
-def record(case: str, rank_tolerance: float, winding: WindingSettings, recorded: bytes | None, limits: Limits) -> Record:
-    """Return the `episode` of a case and which of its steps are `free`. Work for `Spread`, as are those below."""
+def record(
+    case: str, rank_tolerance: float, winding: WindingSettings, recorded: bytes | None, limits: Limits
+) -> tuple[Record, Record]:
+    """Return where it was done, and the `episode` of a case and which of its steps are `free`.
+
+    Work for `Spread`, as are those below.
+    """
     prepare()
     try:
-        (told,) = isolated(worker.record, (rank_tolerance, winding, recorded), limits)
+        with closing(isolated(worker.record, (rank_tolerance, winding, recorded), limits)) as things:
+            return _here(), next(things)
     except LostError as lost:
         raise RunError(f"case {case!r} cannot be recorded: {lost}") from lost
-    return told
 
 
 def replay(
@@ -192,23 +201,9 @@ def replay(
 ) -> tuple[Record, list[Record]]:
     """Return where it was done, and the record of each problem of `sample`, in spite of whatever the solver does."""
     prepare()
-    about: Record = {}
-    records: list[Record] = []
-    in_a_row = 0
-    while len(records) < len(sample):
-        before = len(records)
-        try:
-            for told in isolated(worker.replay, (settings, job, winding, sample[before:], extra), limits):
-                if "version" in told:
-                    about = told
-                else:
-                    records.append(told)
-        except LostError as lost:
-            in_a_row = in_a_row + 1 if len(records) == before else 1
-            records.append(worker.failed(sample[len(records)], lost.failure, str(lost)))
-            if in_a_row == IN_A_ROW:
-                message = f"not tried, after {IN_A_ROW} in a row: {lost}"
-                records += [worker.failed(item, lost.failure, message) for item in sample[len(records) :]]
+    about, records = isolated_each(
+        worker.replay, sample, lambda rest: (settings, job, winding, rest, extra), worker.failed, limits
+    )
     return {**_here(), **about}, records
 
 
@@ -220,7 +215,9 @@ def drive(
     about: Record = {}
     row: Record = {**dict.fromkeys(EPISODES), "outcome": Outcome.SOLVER_FAILED.name}
     try:
-        about, row = isolated(worker.drive, (settings, job, winding, extra), limits)
+        with closing(isolated(worker.drive, (settings, job, winding, extra), limits)) as things:
+            about = next(things)
+            row = next(things)
     except LostError as lost:
         row |= {"failure": lost.failure, "message": str(lost)}
     return {**_here(), **about}, [row]
@@ -251,19 +248,19 @@ def sendable(solvers: tuple[str, ...]) -> worker.Factories:
 
 
 def made_by(settings: ComparisonSettings) -> dict[str, Any]:
-    """Return what decides the figures: settings, versions, program, and the user's own files."""
+    """Return what decides the figures: settings, versions, program, the user's own files, and those of added backends."""
     deciding = {name: value for name, value in asdict(settings).items() if name not in WHERE}
     files = [path for paths in own_files(settings.recorded) for path in paths] if settings.recorded else []
     digests = {path.name: hashlib.sha256(path.read_bytes()).hexdigest()[:12] for path in files}
-    known = {name: get_backend(name).version for name in settings.solvers if name not in registered()}
-    return {**deciding, "recorded": digests, "version": origin.versions(known), "program": origin.code()}
+    plugins = {name: _source_digest(factory) for name, factory in registered().items() if name in settings.solvers}
+    made = {"recorded": digests, "plugins": plugins, "version": _versions(settings), "program": origin.code()}
+    return {**deciding, **made}
 
 
 def facts(settings: ComparisonSettings) -> dict[str, Any]:
     """Return what else is to be known of a run."""
-    known = {name: get_backend(name).version for name in settings.solvers if name not in registered()}
     return {
-        "versions": origin.versions(known),
+        "versions": _versions(settings),
         "cpu": {"model": origin.cpu_model(), "cores": os.cpu_count(), "workers": settings.workers, "blas_threads": 1},
         "revision": origin.revision(),
         "program": origin.code(),
@@ -272,5 +269,40 @@ def facts(settings: ComparisonSettings) -> dict[str, Any]:
     }
 
 
+def _versions(settings: ComparisonSettings) -> dict[str, str]:
+    """Return the versions of what decides on figures, also of solvers that are called without being compared."""
+    names = dict.fromkeys(settings.solvers)
+    if not settings.recorded:
+        names[RECORDER] = None
+    if settings.mink:
+        names |= dict.fromkeys(MINK_ROWS.values())
+    known = {name: get_backend(name).version for name in names if name not in registered()}
+    if settings.witness:
+        known |= {package: version(package) for package in ("cvxpy", WITNESS_SOLVER.lower())}
+    return origin.versions(known)
+
+
+def _source_digest(factory: Callable[..., Any]) -> str:
+    """Return the beginning of the SHA-256 of the file of the module that `factory` comes from; what that imports aside."""
+    while isinstance(factory, partial):
+        factory = factory.func
+    file = getattr(sys.modules.get(factory.__module__), "__file__", None)
+    return "unknown" if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12]
+
+
+def _same_program(where: Record) -> None:
+    """Refuse what a worker made with another program.
+
+    Raises:
+        RunError: it did.
+    """
+    if where["code"] != origin.code():
+        raise RunError(
+            f"the worker on {where['host']!r} runs another program ({where['code']}, here {origin.code()}); install "
+            "the same version there, and start its worker again."
+        )
+
+
 def _here() -> Record:
-    return {"version": "unknown", "cpu": origin.cpu_model(), "revision": origin.revision(), "code": origin.code()}
+    program = {"revision": origin.revision(), "code": origin.code()}
+    return {"version": "unknown", "cpu": origin.cpu_model(), **program, "host": platform.node()}

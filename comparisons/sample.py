@@ -1,5 +1,6 @@
 """The recorded problems that every solver is given, with what the closed form says of each."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,10 +38,13 @@ class Sampled:
     before: IKProblem | None
 
 
-def free_steps(episode: Episode, rank_tolerance: float) -> list[bool]:
-    """Return for each step whether no row binds there."""
-    problems = episode.problems()
-    return [p.relative_violation(Hierarchy(p, rank_tolerance).closed_form) <= FREE for p in problems]
+def free_steps(episode: Episode, rank_tolerance: float, on_step: Callable[[int], object] = lambda _: None) -> list[bool]:
+    """Return for each step whether no row binds there; `on_step` is called after each, with how many there are."""
+    free: list[bool] = []
+    for problem in episode.problems():
+        free.append(problem.relative_violation(Hierarchy(problem, rank_tolerance).closed_form) <= FREE)
+        on_step(len(free))
+    return free
 
 
 def chosen(free: list[bool], count: int) -> list[int]:

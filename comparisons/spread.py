@@ -7,6 +7,12 @@ the same kind, which sends the work to its workers, again to another one if a wo
     dask worker tcp://HOST:8786 --no-nanny --nthreads 1             once a core, on as many as there are
     prioritized-ik compare --scheduler tcp://HOST:8786 ...          anywhere
 
+Scheduler and workers listen on all interfaces and ask nobody who they are: whoever reaches their ports can run code there.
+Start them in a network you trust; on one machine, keep them to it:
+
+    dask scheduler --host 127.0.0.1
+    dask worker tcp://127.0.0.1:8786 --host 127.0.0.1 --no-nanny --nthreads 1
+
 Without its nanny a worker is no daemon, and so may start the isolated processes; they are what the nanny would be for.
 """
 

@@ -7,6 +7,7 @@
     parts/steps/<job>.parquet       one row a replayed problem
     parts/episodes/<job>.parquet    the figures of a driven winding
     parts/qps/<job>.parquet         of the user's own QPs
+    report.html, table.md, <table>.parquet      what the command makes of these at its end, see `MADE_OF_IT`
 
 A part is written when its job is done, whole or not at all, so that a run killed at any moment leaves whole parts only, and
 the next one does what is missing. Parts of other settings, versions or programs are never mixed: such a folder is refused.
@@ -37,8 +38,10 @@ PARTS: dict[str, Schema] = {
     "qps": {**QPS, **ORIGIN},
     "recorded": {"step": polars.Int64, "free": polars.Boolean},
 }
-FOLDERS = ("recorded", "driven", *(f"parts/{kind}" for kind in PARTS))
+FOLDERS = (*(f"parts/{kind}" for kind in PARTS), "driven", "recorded")  # what is made of others before them
 SETTINGS = "settings.json"
+TABLES = ("steps", "episodes", "success", "rows", "qps")
+MADE_OF_IT = ("report.html", "table.md", *(f"{table}.parquet" for table in TABLES))
 EPISODES_AT_HAND = 4
 
 
@@ -92,15 +95,23 @@ class Store:
     def clear(folder: Path) -> None:
         """Delete the results in `folder`, if it is one of a store, and nothing else.
 
+        What is made of others goes before them, so that one killed at any moment leaves a store that lacks something.
+
         Raises:
-            InputError: its `settings.json` is not one of a store.
+            InputError: its `settings.json` is not one of a store, or something cannot be deleted.
         """
         if not (folder / SETTINGS).exists():
             return
         Store(folder)._settings()
-        for name in FOLDERS:
-            shutil.rmtree(folder / name, ignore_errors=True)
-        (folder / SETTINGS).unlink()
+        try:
+            for name in MADE_OF_IT:
+                (folder / name).unlink(missing_ok=True)
+            for name in FOLDERS:
+                if (folder / name).exists():
+                    shutil.rmtree(folder / name)
+            (folder / SETTINGS).unlink()
+        except OSError as error:
+            raise InputError(f"cannot delete the results in {str(folder)!r} ({error}); choose another folder.") from error
 
     def facts(self) -> dict[str, Any]:
         """Return versions, processor, settings, git revision: what was known when it was made."""

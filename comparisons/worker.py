@@ -14,7 +14,7 @@ from importlib.metadata import version
 
 import numpy as np
 
-from comparisons.isolation import ERROR, MEMORY, NAN, BadAnswerError
+from comparisons.isolation import ERROR, MEMORY, NAN, BadAnswerError, Tell
 from comparisons.jobs import MINK_ROWS, SLOW, WARM, WITNESS, WITNESS_SOLVER, Job
 from comparisons.judging import blank, judge
 from comparisons.mink_today import MinkSolver
@@ -38,8 +38,6 @@ from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
 Factories = Mapping[str, Callable[[float], AnyBackend]]
 
-Tell = Callable[[Record | None], None]
-
 NOT_FOUND = StepStatus.NOT_FOUND.name
 
 
@@ -52,8 +50,13 @@ def record(tell: Tell, rank_tolerance: float, winding: WindingSettings, recorded
         winding: how it is recorded.
         recorded: the bytes of an episode that is there already, instead.
     """
-    episode = wind(winding, on_step=lambda _: tell(None)) if recorded is None else episode_of(recorded)
-    tell({"episode": recorded or episode_bytes(episode), "free": free_steps(episode, rank_tolerance)})
+
+    def goes_on(_: int) -> None:
+        tell(None, ours=True)
+
+    episode = wind(winding, on_step=goes_on) if recorded is None else episode_of(recorded)
+    free = free_steps(episode, rank_tolerance, on_step=goes_on)
+    tell({"episode": recorded or episode_bytes(episode), "free": free})
 
 
 def replay(
@@ -65,7 +68,7 @@ def replay(
     answer depends on which other steps are replayed, nor on an accident before.
     """
     _register(extra)
-    tell({"version": version_of(job.solver)})
+    tell({"about": {"version": version_of(job.solver)}})
     for item in sample:
         solve = _solver(settings, job, winding)
         if job.start == WARM and item.before is not None:
@@ -77,6 +80,7 @@ def replay(
         except BadAnswerError as error:
             tell(failed(item, error.failure, str(error)))
         else:
+            tell(None, ours=True)
             figures = judge(item, step)
             if job.repeat == 0 and figures["dtheta"] is not None:  # a certificate takes as long as a solve
                 figures |= _own_certificate(item.problem, np.array(figures["dtheta"]), settings.rank_tolerance)
@@ -86,22 +90,26 @@ def replay(
 def drive(tell: Tell, settings: ComparisonSettings, job: Job, winding: WindingSettings, extra: Factories) -> None:
     """Tell the solver's version, then the record of a winding that the job's solver drives."""
     _register(extra)
-    tell({"version": version_of(job.solver)})
+    tell({"version": version_of(job.solver)}, ours=True)
     failure: str | None = None
     solve = None if job.solver == CLOSED_FORM else _solver(settings, job, winding)
 
     def guarded(problem: IKProblem, q: Array) -> JointStep:
         nonlocal failure
         assert solve is not None
+        tell(None)  # the time limit is that of the solver's work on one problem
         try:
             return solve(problem, q)
         except BadAnswerError as error:
             failure = error.failure
             return JointStep(None, StepStatus.NOT_FOUND, str(error))
 
-    episode = wind(winding, guarded if solve else None, on_step=lambda _: tell(None))
+    episode = wind(winding, guarded if solve else None, on_step=lambda _: tell(None, ours=True))
+    tell(None, ours=True)
+    figures = asdict(measure(episode))
+    tell(None, ours=True)
     outcome = {"outcome": episode.outcome.name, "message": episode.message, "failure": failure}
-    tell({**asdict(measure(episode)), **outcome, "episode": episode_bytes(episode)})
+    tell({**figures, **outcome, "episode": episode_bytes(episode)})
 
 
 def failed(item: Sampled, failure: str | None, message: str) -> Record:

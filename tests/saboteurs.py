@@ -87,6 +87,25 @@ class Saboteur:
         return self._habit(stage) or self._honest.solve(stage)
 
 
+class Grave:
+    """Answers as DAQP does, and crashes once nobody needs it any more, as a library with a broken destructor would."""
+
+    version = "0"
+
+    def __init__(self, name: str, accuracy: float) -> None:
+        self.name = name
+        self._honest = QpsolversBackend("daqp", accuracy)
+        self._used = False
+
+    def solve(self, stage: Stage) -> StageResult:
+        self._used = True
+        return self._honest.solve(stage)
+
+    def __del__(self) -> None:
+        if self._used:
+            os.kill(os.getpid(), signal.SIGSEGV)
+
+
 class Wrong:
     """A solver of hierarchies whose last joint is off on one step in a hundred, from number `first` on."""
 
@@ -110,4 +129,5 @@ class Wrong:
 def register_all() -> None:
     for habit in HABITS:
         registry.register(habit, partial(Saboteur, habit))
+    registry.register("grave", partial(Grave, "grave"))
     registry.register("wrong", partial(Wrong, "wrong", ONE_IN // 2))

@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 from comparisons.command import compare
 from comparisons.compared import compared as with_comparisons
 from comparisons.settings import ComparisonSettings
-from comparisons.store import PARTS, Store
+from comparisons.store import PARTS, TABLES, Store
 from prioritized_ik.cli import main
 from prioritized_ik.errors import InputError
 from prioritized_ik.winding.episode import Episode
@@ -242,9 +242,29 @@ def test_fresh_deletes_results_and_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "settings.json").unlink()
     Store.create(tmp_path, {}, {})
     (tmp_path / "notes.txt").write_text("mine")
+    for name in ("report.html", "table.md", *(f"{name}.parquet" for name in TABLES)):
+        (tmp_path / name).write_text("of the old run")
     Store.clear(tmp_path)
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["notes.txt"]
     assert not (tmp_path / "parts" / "steps").exists()
+
+
+def test_fresh_that_is_killed_leaves_a_store_that_lacks_something(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Store.create(tmp_path, {}, {})
+    (tmp_path / "report.html").touch()
+    (tmp_path / "recorded" / "up.npz").touch()
+
+    def killed(path: Path) -> None:
+        if path.name == "recorded" and path.parent == tmp_path:
+            raise KeyboardInterrupt
+        path.rmdir()
+
+    monkeypatch.setattr("shutil.rmtree", killed)
+    with pytest.raises(KeyboardInterrupt):
+        Store.clear(tmp_path)
+    assert not list((tmp_path / "parts").iterdir()), "no part rests on a recorded episode that is gone"
+    assert not (tmp_path / "report.html").exists()
+    assert (tmp_path / "settings.json").exists(), "so that it can be cleared again"
 
 
 def test_own_episodes_in_the_folder_that_is_written_are_refused(tmp_path: Path) -> None:

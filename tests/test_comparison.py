@@ -1,7 +1,9 @@
 """The comparison judges by figures of its own: what disagrees or fails is shown as such, and stops nobody else."""
 
+import importlib
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,12 +15,14 @@ import pytest
 import saboteurs
 from click.testing import CliRunner
 
+from comparisons import worker
 from comparisons.cases import Case, cases_of
-from comparisons.jobs import COLD, MINK_ROWS, WARM, drives, replays
+from comparisons.jobs import COLD, MINK_ROWS, WARM, Job, drives, replays
 from comparisons.mink_today import MinkSolver
-from comparisons.run import run
+from comparisons.run import RunError, _Run, made_by, run
 from comparisons.sample import chosen, free_steps, sampled
 from comparisons.settings import ComparisonSettings
+from comparisons.store import Store
 from comparisons.summary import Row, summarise
 from comparisons.tables import COMPARED, EPISODES, JOB, STEPS
 from prioritized_ik.cli import main
@@ -132,6 +136,78 @@ def test_a_backend_that_crashes_while_it_drives_leaves_no_winding(tmp_path: Path
     assert driven.settings.solver == "daqp"
 
 
+@pytest.mark.usefixtures("sabotage")
+def test_a_process_lost_after_its_last_record_costs_nothing(folder: Path, tmp_path: Path) -> None:
+    steps = compared(tmp_path, folder, "daqp", "grave", steps=1, drive=True)
+    assert steps.filter(solver="grave")["found"].to_list() == [True]
+    more = compared(tmp_path / "more", folder, "daqp", "grave", steps=6)
+    # Each destructor falls into the time of the next problem; the last into nobody's.
+    assert more.filter(solver="grave")["failure"].to_list() == [None, "crash"] * 3
+    episodes = Store(tmp_path).episodes().filter(solver="grave", formulation="lexicographic")
+    assert episodes["outcome"].to_list() == ["WOUND"]
+
+
+@pytest.mark.usefixtures("sabotage")
+def test_results_of_a_changed_plugin_are_other_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "brought.py"
+    file.write_text("def factory(accuracy): ...\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    registry.register("brought", partial(importlib.import_module("brought").factory))
+    settings = ComparisonSettings(solvers=("daqp", "brought"))
+    before = made_by(settings)
+    assert set(before["plugins"]) == {"brought"}
+    file.write_text("def factory(accuracy): return None\n")
+    after = made_by(settings)
+    assert {name for name in after if after[name] != before[name]} == {"plugins"}
+
+
+def test_the_versions_of_solvers_that_are_called_without_being_compared_decide_too() -> None:
+    def versions(**given: Any) -> set[str]:
+        return set(made_by(ComparisonSettings(solvers=("quadprog",), **given))["version"])
+
+    assert {"quadprog", "daqp"} <= versions(mink=False)
+    assert versions() - versions(mink=False) == {"proxqp"}
+    assert versions(witness=True) - versions() == {"cvxpy", "clarabel"}
+
+
+def test_a_worker_that_runs_another_program_is_refused_by_its_host(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("comparisons.run._here", lambda: {"code": "other", "host": "elsewhere"})
+    with pytest.raises(RunError, match=r"worker on 'elsewhere' runs another program \(other, here"):
+        compared(tmp_path, folder, "daqp", steps=1)
+    monkeypatch.undo()
+    run_ = _Run(ComparisonSettings(solvers=("daqp",), recorded=str(folder)), tmp_path / "rows", keep_driven=False)
+    with pytest.raises(RunError, match="elsewhere"):
+        run_._add_rows("steps", "up", {}, ({"code": "other", "host": "elsewhere"}, []))
+
+
+def test_our_own_work_on_an_episode_is_not_on_a_solvers_time(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    episode = Episode.load(folder / "up.npz")
+    told: list[tuple[Any, bool]] = []
+
+    def tell(thing: Any, *, ours: bool = False) -> None:
+        told.append((thing, ours))
+
+    def on_our_time(work: Callable[..., Any]) -> Callable[..., Any]:
+        def checked(*arguments: Any) -> Any:
+            assert told.pop() == (None, True), work
+            return work(*arguments)
+
+        return checked
+
+    worker.record(tell, RANK_TOLERANCE, episode.settings, (folder / "up.npz").read_bytes())
+    assert told[:-1] == [(None, True)] * episode.steps
+    for name in ("measure", "episode_bytes", "judge"):
+        monkeypatch.setattr(worker, name, on_our_time(getattr(worker, name)))
+    settings = ComparisonSettings(solvers=("daqp",), drive=True)
+    (job,) = (job for job in drives(settings, cases_of(settings)[:1]) if job.solver == "daqp")
+    winding = replace(episode.settings, max_steps=3)
+    worker.drive(tell, settings, job, winding, {})
+    replayed = Job("replay", job.case, "daqp", "lexicographic", 1e-8)
+    worker.replay(tell, settings, replayed, winding, [sampled(episode, 0, RANK_TOLERANCE)], {})
+
+
 def test_a_backend_that_cannot_be_sent_to_another_process_is_refused(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -239,6 +315,16 @@ def test_minks_limits_bind_where_ours_do(folder: Path) -> None:
         for mine, other in zip(sorted(ours.items()), sorted(theirs.items()), strict=True):
             assert np.allclose(mine[0], other[0], atol=1e-4)
             assert mine[1] == pytest.approx(other[1], abs=1e-9)
+
+
+def test_a_step_that_was_not_found_takes_no_part_in_the_times_of_those_that_were() -> None:
+    step = {"case": "up", "solver": "daqp", "version": "1", "formulation": "lexicographic", "accuracy": 1e-8,
+            "start": "cold", "repeat": 0, "free": False, "status": "SOLVED"}  # fmt: skip
+    found = {"step": 0, "found": True, "build_s": 1.0, "solve_s": 2.0, "polish_s": 4.0}
+    lost = [{"step": number, "found": False, "build_s": seconds} for number, seconds in ((1, None), (2, None), (3, 9.0))]
+    steps = polars.DataFrame([{**step, **figures} for figures in (found, *lost)], schema={**JOB, **STEPS, **COMPARED})
+    row = rows_of(steps)["daqp"]
+    assert (row.constrained_time_p50_s, row.build_time_p50_s, row.polish_time_p50_s) == (7.0, 1.0, 4.0)
 
 
 def test_no_replayed_step_is_no_agreement() -> None:

@@ -3,17 +3,30 @@
 import ctypes
 import os
 import signal
+import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 import pytest
 
-from comparisons.isolation import Limits, LostError, StoppedError, isolated, prepare, resume, stop
+from comparisons.isolation import (
+    IN_A_ROW,
+    Limits,
+    LostError,
+    StoppedError,
+    isolated,
+    isolated_each,
+    prepare,
+    resume,
+    stop,
+)
 
 LIMITS = Limits(seconds=20.0, memory=2**28)
-Tell = Callable[[Any], None]
+Tell = Callable[..., None]
 
 
 def count(tell: Tell, until: int, then: str) -> None:
@@ -34,6 +47,10 @@ def count(tell: Tell, until: int, then: str) -> None:
             time.sleep(3600)
         case "eat":
             np.ones(2**27)
+        case "half a message":
+            connection = next(cell.cell_contents for cell in tell.__closure__ if isinstance(cell.cell_contents, Connection))
+            os.write(connection.fileno(), struct.pack("!i", 1000) + b"half")
+            os._exit(7)
         case "chat":
             os.write(1, b"chatter")
 
@@ -64,6 +81,7 @@ def test_what_is_told_arrives_and_what_solvers_print_does_not(capfd: pytest.Capt
     [
         ("segfault", "crash", "SIGSEGV"),
         ("exit", "crash", "exit code 7"),
+        ("half a message", "crash", "exit code 7"),
         ("raise", "error", "LookupError: nothing there"),
         ("eat", "memory", "0.25 GiB"),
         ("hang", "timeout", "no answer within 1 s"),
@@ -77,6 +95,51 @@ def test_what_ends_a_process_is_named_and_what_was_told_before_stands(then: str,
     with pytest.raises(LostError, match=message) as lost:
         next(work)
     assert lost.value.failure == failure
+
+
+def spell(tell: Tell, letters: str, then: str) -> None:
+    tell({"about": {"letters": "known"}})
+    for letter in letters:
+        if letter.isupper():
+            os._exit(7)
+        tell({"letter": letter})
+    count(tell, 0, then)
+
+
+@pytest.mark.parametrize("then", ["segfault", "hang", "raise"])
+def test_a_process_that_is_lost_after_its_last_record_is_of_no_account(then: str) -> None:
+    assert spelt("abc", then) == ({"letters": "known"}, ["a", "b", "c"])
+
+
+def test_an_item_that_costs_a_process_fails_alone_until_several_in_a_row_do() -> None:
+    assert spelt("aBcDEf") == ({"letters": "known"}, ["a", "crash", "c", "crash", "crash", "f"])
+    assert spelt("a" + "B" * (IN_A_ROW - 1) + "c")[1] == ["a", *["crash"] * (IN_A_ROW - 1), "c"]
+    assert spelt("a" + "B" * IN_A_ROW + "cde")[1] == ["a", *["crash"] * IN_A_ROW, *["not tried"] * 3]
+    assert spelt("") == ({}, [])
+
+
+def spelt(letters: str, then: str = "") -> tuple[dict[str, Any], list[str]]:
+    def arguments(rest: Sequence[str]) -> tuple[Any, ...]:
+        return "".join(rest), then
+
+    def failed(letter: str, failure: str, message: str) -> dict[str, Any]:
+        return {"letter": "not tried" if "not tried" in message else failure}
+
+    about, records = isolated_each(spell, letters, arguments, failed, LIMITS)
+    return about, [record["letter"] for record in records]
+
+
+def book_keeping(tell: Tell, *, ours: bool) -> None:
+    tell(None, ours=ours)
+    time.sleep(1.0)
+    tell("done")
+
+
+def test_the_time_limit_is_not_that_of_our_own_work() -> None:
+    limits = Limits(0.3, LIMITS.memory)
+    assert list(isolated(partial(book_keeping, ours=True), (), limits)) == ["done"]
+    with pytest.raises(LostError, match=r"no answer within 0\.3 s"):
+        list(isolated(partial(book_keeping, ours=False), (), limits))
 
 
 def test_work_that_nobody_waits_for_is_ended() -> None:

@@ -1,14 +1,18 @@
 """Users bring their own episodes and QPs."""
 
+import json
 from pathlib import Path
 
 import numpy as np
+import polars
 import pytest
 import qpsolvers
 from click.testing import CliRunner
 
+from comparisons.cases import own_files
 from comparisons.isolation import Limits, prepare
 from comparisons.own_qps import load_qp, measure_qps
+from comparisons.results import json_rows
 from comparisons.settings import ComparisonSettings
 from comparisons.store import Store
 from prioritized_ik.cli import main
@@ -52,6 +56,26 @@ def test_own_episodes_and_qps_take_the_place_of_the_windings(own: Path, tmp_path
     assert store.problem("mine, tilted", 0).joint_count == WindingSettings().arm.joint_count
     assert store.qps().filter("found")["qp"].to_list() == ["feasible", "feasible"]
     assert "QPs" in result.output
+    assert polars.read_parquet(out / "qps.parquet").equals(store.qps())
+
+
+def test_qps_alone_are_in_the_json_and_nothing_that_strict_could_check(own: Path, tmp_path: Path) -> None:
+    (own / "mine, tilted.npz").unlink()
+    file = tmp_path / "qps.json"
+    result = CliRunner().invoke(main, ["compare", "--recorded", str(own), "--solvers", "quadprog", "--json", str(file)])
+    assert result.exit_code == 0, result.output
+    content = json.loads(file.read_text(encoding="utf-8"))
+    assert content["rows"] == []
+    assert [(row["qp"], row["found"]) for row in content["qps"]] == [("feasible", True), ("infeasible", False)]
+    strict = CliRunner().invoke(main, ["compare", "--recorded", str(own), "--solvers", "quadprog", "--strict"])
+    assert strict.exit_code == 2
+    assert "nothing was checked" in strict.output
+
+
+def test_json_has_null_where_a_solver_tells_no_multipliers() -> None:
+    table = polars.DataFrame({"qp": ["one", "two"], "dual_residual": [float("inf"), 1e-9], "found": [True, True]})
+    assert [row["dual_residual"] for row in json_rows(table)] == [None, 1e-9]
+    assert list(json_rows(table)[0]) == table.columns
 
 
 def test_something_else_among_them_is_refused_by_name(own: Path, tmp_path: Path) -> None:
@@ -61,6 +85,19 @@ def test_something_else_among_them_is_refused_by_name(own: Path, tmp_path: Path)
     assert "other.npz" in result.output
     with pytest.raises(EpisodeFileError, match=r"write it with `Problem\.save`"):
         load_qp(own / "other.npz")
+
+
+def test_damaged_files_are_refused_by_name(own: Path) -> None:
+    whole = (own / "feasible.npz").read_bytes()
+    damaged = {"cut short": whole[:-200], "empty": b"", "spoilt": whole[:60] + b"\xff" * 60 + whole[120:]}
+    for content in damaged.values():
+        (own / "feasible.npz").write_bytes(content)
+        with pytest.raises(EpisodeFileError, match=r"feasible\.npz"):
+            load_qp(own / "feasible.npz")
+    for name in ("cut short", "empty"):
+        (own / "feasible.npz").write_bytes(damaged[name])
+        with pytest.raises(EpisodeFileError, match=r"feasible\.npz"):
+            own_files(str(own))
 
 
 def test_changed_files_are_other_settings(own: Path, tmp_path: Path) -> None:

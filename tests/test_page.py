@@ -26,6 +26,7 @@ from comparisons.problem_file import load_problem
 from comparisons.summary import Row, summarise
 from prioritized_ik.errors import EpisodeFileError, InputError
 
+OFF_WORDS = "answered, and was wrong by more than the verdict allows"
 QUANTISED = 5e-5  # [m] half a step of 16-bit numbers over an arm of 1 m measures 8e-6
 
 
@@ -162,13 +163,25 @@ def test_failures_name_crashes_and_wrong_answers_and_come_with_problems(
 ) -> None:
     found = failures(answers, store.episodes(), store.problem)
     groups = {(group["solver"], group["what"]): group for group in found["groups"] if not group["windings"]}
-    assert set(groups) == {(WRONG, "crashed"), (WRONG, "answered, and was wrong by more than 1e-6")}
+    assert set(groups) == {(WRONG, "crashed"), (WRONG, OFF_WORDS)}
     crashed = groups[WRONG, "crashed"]
     assert (crashed["count"], crashed["asked"], crashed["message"]) == (1, COUNT, MESSAGE)
     assert crashed["examples"] == [{"case": CASE, "step": store.numbers[-1], "file": True}]
     (tmp_path / "problem.npz").write_bytes(base64.b64decode(found["files"][f"{CASE} {store.numbers[-1]}"]))
     loaded = load_problem(tmp_path / "problem.npz")
     assert (loaded.levels[0].matrix == store.problem(CASE, store.numbers[-1]).levels[0].matrix).all()
+
+
+def test_a_wrong_answer_is_a_failure_by_what_the_verdict_goes_by_whatever_accuracy_was_asked(store: SmallStore) -> None:
+    steps = store.steps().with_columns(accuracy=polars.lit(1e-2))
+    found = failures(answers_of(steps, []), store.episodes(), store.problem)["groups"]
+    assert [(group["solver"], group["count"]) for group in found if group["what"] == OFF_WORDS] == [(WRONG, COUNT - 1)]
+    # cvxopt is known to stray where rows bind by up to 5e-4, and nowhere else.
+    strayed = steps.filter(solver=WRONG, found=True).with_columns(
+        solver=polars.lit("cvxopt"), dtheta_error=1e-4, dx_error=1e-4, certified_dx_error=1e-4
+    )
+    (group,) = failures(answers_of(strayed, []), store.episodes().clear(), store.problem)["groups"]
+    assert group["count"] == strayed.filter("free", repeat=0).height < strayed.filter(repeat=0).height
 
 
 def test_the_sentence_above_the_table_names_who_disagrees_and_who_is_fastest(rows: list[Row]) -> None:

@@ -9,9 +9,8 @@ import polars
 
 from comparisons.page.series import Answers
 from comparisons.problem_file import problem_bytes
-from comparisons.summary import AGREES
+from comparisons.summary import AGREES, bound_limit
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.winding.episode import Outcome
 
@@ -27,7 +26,7 @@ WORDS = {
     StepStatus.NOT_FOUND.name: "gave no answer",
     StepStatus.VIOLATED.name: "broke a bound or row",
     StepStatus.INFEASIBLE.name: "called the rows a conflict",
-    "off": "answered, and was wrong by more than 1e-6",
+    "off": "answered, and was wrong by more than the verdict allows",
     "uncertified": "answered, and no certificate was reached",
     Outcome.LOST.name: "drove the arm, which lost contact",
     Outcome.OUT_OF_STEPS.name: "drove the arm, which came to no end",
@@ -50,17 +49,15 @@ def failures(answers: Answers, episodes: polars.DataFrame, problem: Callable[[st
     """
     lexicographic = [number for number, series in enumerate(answers.series) if series.formulation == "lexicographic"]
     must_agree = polars.col("series").is_in(lexicographic)
-    strays = {number: abilities_of(answers.series[number].solver).strays for number in lexicographic}
-    # What the verdict allows for: see `abilities`.
-    allowed = polars.when(~polars.col("free")).then(
-        polars.col("series").replace_strict(strays, default=0.0, return_dtype=polars.Float64)
-    )
+    limits = {number: bound_limit(answers.series[number].solver) for number in lexicographic}
+    bound = polars.col("series").replace_strict(limits, default=None, return_dtype=polars.Float64)
+    allowed = polars.when("free").then(polars.lit(AGREES)).otherwise(bound)
     kind = (
         polars.when(polars.col("failure").is_not_null())
         .then(polars.col("failure"))
         .when(~polars.col("found"))
         .then(polars.col("status"))
-        .when(must_agree & (polars.col("error") > polars.max_horizontal(polars.lit(AGREES), "accuracy", allowed)))
+        .when(must_agree & (polars.col("error") > allowed))
         .then(polars.lit("off"))
         .when(must_agree & ~polars.col("free") & ~polars.col("certified").fill_null(value=False))
         .then(polars.lit("uncertified"))

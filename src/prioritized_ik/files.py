@@ -1,8 +1,13 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and what goes wrong when one is read that was not."""
 
+import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
+
+#: What NumPy and zipfile raise on `.npz` files that hold something else, or are damaged.
+UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
 def write_whole(path: str | Path, write: Callable[[BinaryIO], object]) -> None:

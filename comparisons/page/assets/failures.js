@@ -4,7 +4,7 @@
 function failureCards(box, failures) {
   const { groups, files } = failures;
   if (!groups.length) {
-    box.append(el("p", {}, "None: every solver answered every step, and every arm was wound."));
+    box.append(el("p", {}, "None found among the replayed steps and the driven windings."));
     return;
   }
   const cards = groups.map((group) => el("div", { class: "card" },

@@ -4,8 +4,6 @@ The arm moves kinematically: each step's dθ is added to the joint positions as 
 and outcome, so that any solver can be run on the same problems later; a saved episode replays bit for bit.
 """
 
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from enum import Enum
@@ -16,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.errors import EpisodeFileError, InputError
-from prioritized_ik.files import write_whole
+from prioritized_ik.files import UNREADABLE, write_whole
 from prioritized_ik.limits import contact_row_name
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
 from prioritized_ik.solvers.backends.registry import get_backend
@@ -28,9 +26,6 @@ from prioritized_ik.winding.controller import Equilibrium, WindingController, le
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
 FORMAT = "prioritized-ik episode 2"
-
-#: What NumPy and zipfile raise on files that are no episodes, or damaged ones.
-_UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 Solve = Callable[[IKProblem, Array], JointStep]  # the problem, and the joint positions it was posed at
 
@@ -162,7 +157,7 @@ class Episode:
             arrays = {name: read_only(content[name]) for name in _ARRAYS}
             episode = Episode(settings, Outcome[str(content["outcome"])], str(content["message"]), **arrays)
             episode._check()
-        except _UNREADABLE as error:
+        except UNREADABLE as error:
             raise EpisodeFileError(
                 f"cannot read an episode from {str(path)!r} ({error}); expected a file that `wind --save` wrote, whole."
             ) from error
