@@ -8,7 +8,8 @@ import numpy as np
 from paper_repro.artefact import Artefact, Scale
 from paper_repro.figure import PAGE, new_figure
 from paper_repro.jobs import Results
-from paper_repro.replays import FORMULATIONS, Summary, formulations, solvers, summary
+from paper_repro.replays import FORMULATIONS, Summary, formulations, summary
+from paper_repro.steady import steady_solvers
 from paper_repro.table_4_backends import jobs
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def words(found: Summary) -> str:
 
 def build(scale: Scale, results: Results) -> "Figure":
     """Return a heat map: rows are backends, columns formulations."""
-    names = solvers(scale)
+    names = steady_solvers(scale)
     figure, axis = new_figure(height=MARGIN + ROW * len(names), width=PAGE)
     shown = np.full((len(names), len(FORMULATIONS)), np.nan)
     for row, solver in enumerate(names):

@@ -5,7 +5,8 @@ import importlib.metadata
 from comparisons.settings import MINK_SOLVERS
 from paper_repro.artefact import Artefact, Scale
 from paper_repro.jobs import Job, Results
-from paper_repro.replays import DAMPED, LEXICOGRAPHIC, MINK, formulations, replayed_job, solvers, summary
+from paper_repro.replays import DAMPED, LEXICOGRAPHIC, MINK, formulations, replayed_job, summary
+from paper_repro.steady import steady_solvers
 from paper_repro.table import Cell, Column, Table
 from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
@@ -27,20 +28,20 @@ COLUMNS = (
 
 def jobs(scale: Scale) -> list[Job]:
     """Return the jobs of table 4 that this table shows."""
-    todo = [replayed_job(scale, solver, LEXICOGRAPHIC) for solver in solvers(scale)]
-    todo += [replayed_job(scale, solver, DAMPED) for solver in solvers(scale) if DAMPED in formulations(solver)]
+    todo = [replayed_job(scale, solver, LEXICOGRAPHIC) for solver in steady_solvers(scale)]
+    todo += [replayed_job(scale, solver, DAMPED) for solver in steady_solvers(scale) if DAMPED in formulations(solver)]
     return [*todo, *(replayed_job(scale, solver, MINK) for solver in mink_solvers(scale))]
 
 
 def mink_solvers(scale: Scale) -> tuple[str, ...]:
     """Return the solvers that mink is shown with."""
-    return tuple(solver for solver in MINK_SOLVERS if solver in solvers(scale))
+    return tuple(solver for solver in MINK_SOLVERS if solver in steady_solvers(scale))
 
 
 def build(scale: Scale, results: Results) -> Table:
     """Return one row a solver, and mink's."""
     rows: list[tuple[Cell, ...]] = []
-    for solver in solvers(scale):
+    for solver in steady_solvers(scale):
         exact = summary(scale, results, solver, LEXICOGRAPHIC)
         beside: tuple[Cell, ...] = (None, None, None)
         if DAMPED in formulations(solver):
@@ -54,7 +55,7 @@ def build(scale: Scale, results: Results) -> Table:
         versions = f"{importlib.metadata.version('mink')} / {get_backend(solver).version}"
         errors = (found.dtheta_median, found.dtheta_max, f"{found.failed}/{found.steps}")
         rows.append((f"mink ({solver})", versions, *(None,) * 6, *errors))
-    one = summary(scale, results, solvers(scale)[0], LEXICOGRAPHIC)
+    one = summary(scale, results, steady_solvers(scale)[0], LEXICOGRAPHIC)
     notes = (
         f"{one.steps} recorded steps of {len(scale.directions)} windings, on {one.free_steps} of which no row binds; for "
         f"the damped QP and mink half as many. Rank tolerance {RANK_TOLERANCE:g}, which mink does not know. Errors are "
@@ -72,6 +73,6 @@ The lexicographic QP, in which this library poses Eqs. 12–14 together with lim
 backend, beside the one damped QP that mink and pink solve. **To see:** the lexicographic answers are those of Eqs.
 12–14 whichever backend gave them, and once polished they are the same bits; the damped ones hang on the backend. Times
 are in table 7, further formulations in table 4. The table does *not* show how backends fare on other problems than
-these."""
+these, nor `proxqp-warm`, whose last digits hang on where its memory lies."""
 
 ARTEFACT = Artefact("solvers", "The solvers on the recorded windings", CAPTION, jobs, build)

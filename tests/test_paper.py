@@ -119,8 +119,10 @@ def test_measured_times_stay_out_of_what_must_not_change(made):
     assert [artefact.name for artefact in timed] == ["table-7"]
     text = (made / "report.md").read_text(encoding="utf-8")
     assert "kept apart: [timed/table-7.md](timed/table-7.md)" in text
-    row = files_of(timed[0], made)[-1].read_text(encoding="utf-8").splitlines()[-6]
-    assert row not in text
+    lines = files_of(timed[0], made)[-1].read_text(encoding="utf-8").splitlines()
+    rows = [line for line in lines if line.startswith("| lexicographic")]
+    assert rows
+    assert not any(row in text for row in rows)
     for artefact in artefacts():
         assert artefact.timed or not any(job.alone for job in artefact.jobs(QUICK)), artefact.name
 
