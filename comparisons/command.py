@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import click
 
-from prioritized_ik.cli import DISAGREES, writable_file, writable_folder
+from prioritized_ik.cli import DISAGREES, made_folder, writable_file
 
 Number = TypeVar("Number", int, float)
 
@@ -157,10 +157,9 @@ def compare(
         folder = Path(scratch)
         if out is not None:
             folder = Path(out)
-            existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-            writable_folder(existing)
             if recorded and Path(recorded).resolve().is_relative_to(folder.resolve()):
                 raise InputError(f"--recorded {recorded!r} lies in --out {out!r}, which is written; choose another folder.")
+            made_folder(folder)
             if not resume:
                 Store.clear(folder)
         bars = Console(stderr=True)

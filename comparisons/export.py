@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from prioritized_ik.cli import writable_folder
+from prioritized_ik.cli import made_folder
 
 
 @click.command("export-qpbenchmark")
@@ -28,8 +28,7 @@ def export_qpbenchmark(folder: Path, recorded: Path | None, directions: str, lin
     from prioritized_ik.winding.episode import Episode, wind
     from prioritized_ik.winding.settings import WindingSettings
 
-    existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-    writable_folder(existing)
+    made_folder(folder)
     with threadpool_limits(1):  # matrices this small only lose by more
         if recorded is not None:
             episodes = {path.stem: Episode.load(path) for path in own_files(str(recorded))[0]}

@@ -86,7 +86,6 @@ def until(happened: Callable[[], bool]) -> None:
 
 
 def test_a_dask_cluster_that_loses_a_worker_gives_the_same_rows(undisturbed: Path, tmp_path: Path) -> None:
-    pytest.importorskip("distributed")
     file, out = tmp_path / "scheduler.json", tmp_path / "out"
     where = ("--scheduler-file", str(file))
     worker = ("worker", *where, "--no-nanny", "--nthreads", "1", "--no-dashboard", "--local-directory", str(tmp_path))

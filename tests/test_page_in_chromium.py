@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import playwright.sync_api as playwright
 import pytest
 from page_fixtures import CASE, FAST, MESSAGE, SLOW, WRONG, SmallStore
 from PIL import Image
@@ -17,10 +18,7 @@ from comparisons.page import write_page
 from comparisons.problem_file import load_problem
 from comparisons.summary import summarise
 
-playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright; it drives the browser")
-
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (Debian: apt-get install chromium)")
 
 EPISODE = recorded(link=13)  # what FAST drove, the first of the choice
 
@@ -35,6 +33,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator["playwright.Browser"]:
+    assert CHROMIUM is not None, "no Chromium here (Debian: apt-get install chromium)"
     with playwright.sync_playwright() as running:
         # The sandbox of Chromium does not start for root, as in a container.
         browser = running.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])

@@ -8,7 +8,6 @@ import numpy as np
 import polars
 
 from comparisons.page.series import Key, labels
-from prioritized_ik.validation import Array
 from prioritized_ik.winding.episode import Episode
 
 LARGEST = 32767  # of the whole numbers that coordinates are stored as: 0.02 mm steps over an arm of 1 m
@@ -84,12 +83,6 @@ def moved(episode: Episode, every: int) -> dict[str, Any]:
             "rotation": wound.rotation.tolist(),
         },
     }
-
-
-def positions_of(motion: dict[str, Any]) -> Array:
-    """Return the end points (states, links, 3) [m] of what `moved` returned, as the page reads them."""
-    whole = np.frombuffer(base64.b64decode(motion["positions"]), dtype="<i2").reshape(-1, motion["links"], 3)
-    return np.asarray(motion["centre"]) + motion["unit"] * whole
 
 
 def _key(row: dict[str, Any]) -> Key:
