@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars
@@ -19,7 +20,7 @@ from comparisons.page.courses import FAILED, courses
 from comparisons.page.failures import failures
 from comparisons.page.page import data
 from comparisons.page.profile import profiles, stairs_of
-from comparisons.page.replays import moved, positions_of, replays
+from comparisons.page.replays import moved, replays
 from comparisons.page.series import Answers, answers_of, labels
 from comparisons.page.verdicts import finding, verdicts
 from comparisons.problem_file import load_problem
@@ -28,6 +29,12 @@ from prioritized_ik.errors import EpisodeFileError, InputError
 
 OFF_WORDS = "answered, and was wrong by more than the verdict allows"
 QUANTISED = 5e-5  # [m] half a step of 16-bit numbers over an arm of 1 m measures 8e-6
+
+
+def positions_of(motion: dict[str, Any]) -> np.ndarray:
+    """The end points (states, links, 3) [m] of what `moved` returned, as the page's script reads them."""
+    whole = np.frombuffer(base64.b64decode(motion["positions"]), dtype="<i2").reshape(-1, motion["links"], 3)
+    return np.asarray(motion["centre"]) + motion["unit"] * whole
 
 
 @pytest.fixture
