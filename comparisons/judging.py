@@ -7,8 +7,8 @@ import numpy as np
 from comparisons.sample import Sampled
 from comparisons.tables import STEP_FIGURES, Record
 from prioritized_ik.problem import Level
-from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION
 from prioritized_ik.solvers.step import JointStep, StepStatus
+from prioritized_ik.tolerances import ACCEPTED_VIOLATION
 from prioritized_ik.validation import Array
 
 

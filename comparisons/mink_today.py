@@ -11,11 +11,11 @@ import mink
 import mujoco
 import numpy as np
 
-from prioritized_ik.problem import IKProblem, step_scale
+from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.backends.qpsolvers_ import SOLVER_ERRORS
 from prioritized_ik.solvers.certificate import certify
-from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
+from prioritized_ik.tolerances import ACCEPTED_VIOLATION
 from prioritized_ik.validation import Array
 from prioritized_ik.winding.settings import WindingSettings
 
@@ -67,7 +67,7 @@ class MinkSolver:
             dtheta if kept else None,
             status if kept else StepStatus.VIOLATED,
             costs=(level.cost(dtheta),),
-            tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * step_scale(dtheta)),
+            tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * length(dtheta)),
             violation=certificate.violation,
             timings=timings,
             calls=1,

@@ -25,6 +25,7 @@ from prioritized_ik.files import write_whole
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.backends.protocol import Backend, StageResult
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.validation import Array, at_least
@@ -109,7 +110,7 @@ class _Recorder:
 
 def feasible_stages(problem: IKProblem, options: SolveOptions | None = None) -> list[Stage]:
     """Return the QPs of `problem`, the most important level first, without those that no point satisfies."""
-    options = options or SolveOptions()
+    options = options or SolveOptions(rank_tolerance=RANK_TOLERANCE)
     recorder = _Recorder(QpsolversBackend(FOLDS, options.accuracy))
     # Neither shortcut nor polish: every level is a QP, whose stage follows from the QP above it.
     joint_step(problem, recorder, replace(options, closed_form_first=False, polish=False))

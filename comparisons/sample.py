@@ -8,7 +8,7 @@ import numpy as np
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.closed_form import level_decomposition, resulting_displacement
 from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.solvers.lexicographic import FREE
+from prioritized_ik.tolerances import FREE
 from prioritized_ik.validation import Array
 from prioritized_ik.winding.episode import Episode
 
@@ -60,7 +60,7 @@ def sampled(episode: Episode, step: int, rank_tolerance: float) -> Sampled:
     level = problem.levels[0]
     hierarchy = Hierarchy(problem, rank_tolerance)
     dtheta = hierarchy.closed_form
-    factors, _ = level_decomposition(level, np.eye(problem.joint_count), rank_tolerance)
+    factors, _, _ = level_decomposition(level, np.eye(problem.joint_count), rank_tolerance)
     return Sampled(
         step,
         episode.problem(step),  # afresh: what a problem computes of itself it keeps, and would be sent along

@@ -9,7 +9,7 @@ from prioritized_ik.models import DIRECTIONS
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend, installed_solvers, registered
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.lexicographic import FORMULATIONS, SolveOptions
+from prioritized_ik.solvers.lexicographic import FORMULATIONS, ONE_QP, SolveOptions
 from prioritized_ik.validation import at_least, fraction, one_of, positive
 from prioritized_ik.winding.metrics import ROUND_SHAPES
 
@@ -107,7 +107,11 @@ class ComparisonSettings:
         """Return how a backend is to solve, by default at the finest accuracy."""
         finest = min(self.accuracy) if accuracy is None else accuracy
         return SolveOptions(
-            formulation, finest, self.rank_tolerance, self.damping, closed_form_first=self.closed_form_first
+            formulation,
+            finest,
+            self.rank_tolerance,
+            self.damping if formulation in ONE_QP else None,
+            closed_form_first=self.closed_form_first,
         )
 
     def accuracies_of(self, solver: str) -> tuple[float, ...]:

@@ -16,6 +16,7 @@ import numpy as np
 from prioritized_ik.errors import SolverUnavailableError, StepNotFoundError
 from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.problem import IKProblem, Level
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.lexicographic import SolveOptions, solve
 from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.validation import Array
@@ -32,7 +33,7 @@ DAMPING = 1e-12  # mink's and pink's default
 SOLVER = "daqp"
 SLACK_SOLVERS = (SOLVER, "quadprog")  # one that stops at a tolerance, and one that knows only rounding
 
-QP_ALONE = SolveOptions(closed_form_first=False, polish=False)
+QP_ALONE = SolveOptions(rank_tolerance=RANK_TOLERANCE, closed_form_first=False, polish=False)
 
 ORTHOGONAL = "orthogonal factors"
 PINV = "normal equations, pinv"

@@ -12,7 +12,7 @@ from paper_repro.windings import settings
 from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.backends.registry import get_backend
-from prioritized_ik.solvers.closed_form import minimum_norm_solution, rank_decomposition_svd, weighted_optimum
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, minimum_norm_solution, rank_decomposition_svd, weighted_optimum
 from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
 from prioritized_ik.validation import Array
@@ -98,7 +98,7 @@ def row_norms(weights: str) -> dict[str, float]:
     """
     problem = IKProblem(_problem(posture="random", weights=weights).levels)
     truth = strict_solution(problem.levels, problem.reference)
-    options = SolveOptions(closed_form_first=False, polish=False)
+    options = SolveOptions(rank_tolerance=RANK_TOLERANCE, closed_form_first=False, polish=False)
     ours = joint_step(problem, get_backend("daqp-hierarchy"), options).dtheta
     raw = _daqp_as_is(problem)
     found = {"raw": _error(raw, truth), "adapter": math.nan if ours is None else _error(ours, truth)}

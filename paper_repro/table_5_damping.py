@@ -50,7 +50,7 @@ def by_orthogonal_factors(problem: IKProblem, damping: float) -> Array | None:
 
 def by_qp(formulation: str, problem: IKProblem, damping: float) -> Array | None:
     """The same `(m,)` as one QP with all rows, as it stands; None if the solver fails."""
-    stage = first_stage(problem, SolveOptions(formulation, damping=damping))
+    stage = first_stage(problem, SolveOptions(formulation, rank_tolerance=RANK_TOLERANCE, damping=damping))
     x = cast(Backend, get_backend(SOLVER)).solve(stage).x
     return None if x is None else stage.dtheta(x)
 

@@ -94,6 +94,7 @@ def wind(
     from threadpoolctl import threadpool_limits
 
     from prioritized_ik.models import Arm
+    from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
     from prioritized_ik.solvers.lexicographic import SolveOptions
     from prioritized_ik.validation import one_of, positive
     from prioritized_ik.winding.episode import Outcome
@@ -124,7 +125,7 @@ def wind(
         contacts=contacts and not free,
         max_steps=steps,
         solver=solver,
-        options=SolveOptions(formulation=formulation),
+        options=SolveOptions(formulation=formulation, rank_tolerance=RANK_TOLERANCE),
     )
     with threadpool_limits(1):  # matrices this small only lose by more
         episode = run(settings)

@@ -6,20 +6,29 @@ those before it, and an implicit last level minimises ‖dθ - r‖². With one 
 one of soft inequalities, which counts only what exceeds its target.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.validation import Array, finite_array, length, lengths, one_of, read_only, shaped_array
+from prioritized_ik.tolerances import NOISE
+from prioritized_ik.validation import Array, finite_array, fraction, length, lengths, non_negative, one_of, read_only, shaped_array
 
 #: `equal` is least squares of A dθ = b; `at_most` of what A dθ <= b leaves violated.
 KINDS = ("equal", "at_most")
 
-STEP_FLOOR = 1e-4  # [rad] violations are relative to the step, but steps smaller than this count as this
+#: What a damped level leaves to those below: all that does not change what its damped optimum reaches, or nothing.
+BELOW = ("free", "hold")
+
+Record = TypeVar("Record")
+
+NOISIEST = 1e-2  # data with more noise than this decide nothing
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -29,12 +38,16 @@ class Level:
     Attributes:
         matrix: A, for instance the stacked Jacobian J `(k, m)`.
         target: b, for instance the desired displacement dX_v* `(k,)`.
-        weights: diagonal of W `(k,)`, all positive; ones unless given.
+        weights: diagonal of W `(k,)`; ones unless given. A row of weight zero means nothing.
         name: what messages call it.
-        kind: `"equal"`, or `"at_most"` for soft inequalities.
+        kind: `"equal"`, or `"at_most"` for soft inequalities, whose targets may be infinite.
+        damping: δ >= 0: the level minimises its cost + δ ‖dθ‖², in the problem's joint metric.
+        below: what a damped level leaves to those below: `"free"`, every motion that does not change what its damped
+            optimum reaches; `"hold"`, no motion at all.
 
     Raises:
-        InputError: no row, shapes that do not fit, a weight that is not positive, an unknown kind.
+        InputError: shapes that do not fit, a weight or damping below zero, an unknown kind or `below`; damping of soft
+            inequalities.
     """
 
     matrix: Array
@@ -42,6 +55,8 @@ class Level:
     weights: Array
     name: str
     kind: str
+    damping: float
+    below: str
 
     def __init__(
         self,
@@ -50,26 +65,29 @@ class Level:
         weights: ArrayLike | None = None,
         name: str = "task",
         kind: str = "equal",
+        damping: float = 0.0,
+        below: str = "free",
     ) -> None:
         one_of(f"kind of level {name!r}", kind, KINDS)
+        one_of(f"below of level {name!r}", below, BELOW)
+        if non_negative(f"damping of level {name!r}", damping) and kind == "at_most":
+            raise InputError(f"damping of level {name!r} is {damping}; expected 0, as soft inequalities have none.")
         checked = finite_array(f"matrix of level {name!r}", matrix, (None, None))
         k = checked.shape[0]
-        if checked.size == 0:
-            raise InputError(f"matrix of level {name!r} has shape {checked.shape}; expected at least one row.")
         diagonal = finite_array(f"weights of level {name!r}", np.ones(k) if weights is None else weights, (k,))
-        if (diagonal <= 0.0).any():
+        if (diagonal < 0.0).any():
             place = int(np.argmin(diagonal))
-            raise InputError(
-                f"weights of level {name!r}[{place}] is {diagonal[place]}; expected numbers above 0 "
-                "(leave a row out instead of giving it no weight)."
-            )
+            raise InputError(f"weights of level {name!r}[{place}] is {diagonal[place]}; expected numbers of at least 0.")
+        what = f"target of level {name!r}"
         _set(
             self,
             matrix=checked,
-            target=finite_array(f"target of level {name!r}", target, (k,)),
+            target=_upper_side(what, target, k) if kind == "at_most" else finite_array(what, target, (k,)),
             weights=diagonal,
             name=name,
             kind=kind,
+            damping=float(damping),
+            below=below,
         )
 
     @property
@@ -87,6 +105,12 @@ class Level:
         residual = self.residual(dtheta)
         return float(residual @ (self.weights * residual))
 
+    @property
+    def demand(self) -> float:
+        """Length of what the level asks for, √(bᵀ W b), infinite targets aside."""
+        target = np.where(np.isfinite(self.target), self.target, 0.0)
+        return float(np.sqrt(self.weights @ target**2))
+
 
 @dataclass(frozen=True, init=False, eq=False)
 class Bounds:
@@ -100,10 +124,12 @@ class Bounds:
         low = shaped_array("lower bounds", lower, (None,))
         high = shaped_array("upper bounds", upper, low.shape)
         joints = _names("bounds", names, "joint", len(low))
-        crossed = np.flatnonzero(low > high)
+        crossed = np.flatnonzero((low > high) | (low == np.inf) | (high == -np.inf))
         if crossed.size:
             i = int(crossed[0])
-            raise InputError(f"lower bound {low[i]} of {joints[i]} is above its upper bound {high[i]}; swap or widen them.")
+            raise InputError(
+                f"'{joints[i]} lower' is {low[i]}, above '{joints[i]} upper', {high[i]}: no step keeps both; widen one."
+            )
         _set(self, lower=low, upper=high, names=joints)
 
     def intersect(self, other: "Bounds") -> "Bounds":
@@ -118,7 +144,7 @@ class Bounds:
 
 @dataclass(frozen=True, init=False, eq=False)
 class Rows:
-    """Inequality rows: matrix `(r, m)` @ dθ <= upper `(r,)`. `names` name the rows in messages."""
+    """Inequality rows: matrix `(r, m)` @ dθ <= upper `(r,)`, infinite for none. `names` name the rows in messages."""
 
     matrix: Array
     upper: Array
@@ -126,7 +152,7 @@ class Rows:
 
     def __init__(self, matrix: ArrayLike, upper: ArrayLike, names: Sequence[str] = ()) -> None:
         checked = finite_array("matrix of rows", matrix, (None, None))
-        side = finite_array("upper side of rows", upper, checked.shape[:1])
+        side = _upper_side("upper side of rows", upper, len(checked))
         known = _names("rows", names, "row", len(checked))
         never = np.flatnonzero(~checked.any(axis=1) & (side < 0.0))
         if never.size:
@@ -169,14 +195,19 @@ class IKProblem:
     """The problem of one joint step dθ `(m,)`.
 
     Attributes:
-        levels: at least one, the most important first.
+        levels: the most important first; there may be none.
         bounds: hard bounds on dθ.
         rows: hard inequality rows.
         reference: r `(m,)` [rad], the last level's target (Eq. 13); zero for the least norm (Eq. 14).
         equalities: hard equality rows.
+        metric: M, by which the last level measures, ‖dθ - r‖² = (dθ - r)ᵀ M (dθ - r), and with it every relative
+            tolerance: a diagonal `(m,)` or a matrix `(m, m)`; ones unless given, as in the paper. See
+            `limits.joint_metric` for joints of several units.
+        noise: of the data, as a fraction: what is this little of its surroundings is rounding and counts as zero. 1e-12
+            unless given; about 1e-6 for data in single precision.
 
     Raises:
-        InputError: no level, or widths that differ.
+        InputError: widths that differ or are not known, a metric that is not positive, a noise out of range.
     """
 
     levels: tuple[Level, ...]
@@ -184,6 +215,8 @@ class IKProblem:
     rows: Rows
     reference: Array
     equalities: Equalities
+    metric: Array
+    noise: float
 
     def __init__(
         self,
@@ -192,14 +225,27 @@ class IKProblem:
         rows: Rows | None = None,
         reference: ArrayLike | None = None,
         equalities: Equalities | None = None,
+        *,
+        metric: ArrayLike | None = None,
+        noise: float = NOISE,
     ) -> None:
-        if isinstance(levels, Level) or not levels or not all(isinstance(level, Level) for level in levels):
-            raise InputError(f"levels is {levels!r}; expected a list of at least one Level.")
+        if not isinstance(levels, Sequence) or not all(isinstance(level, Level) for level in levels):
+            raise InputError(f"levels is {levels!r}; expected a list of Level.")
         parts = (("bounds", bounds, Bounds), ("rows", rows, Rows), ("equalities", equalities, Equalities))
         for name, given, kind in parts:
             if given is not None and not isinstance(given, kind):
                 raise InputError(f"{name} is {given!r}; expected {kind.__name__} or None.")
-        m = levels[0].matrix.shape[1]
+        widths = {f"level {level.name!r}": level.matrix.shape[1] for level in levels}
+        widths |= {} if bounds is None else {"bounds": len(bounds.lower)}
+        widths |= {} if rows is None else {"rows": rows.matrix.shape[1]}
+        widths |= {} if equalities is None else {"equalities": equalities.matrix.shape[1]}
+        widths |= {"reference": np.size(reference)} if reference is not None and not widths else {}
+        if not widths:
+            raise InputError("the problem has neither levels nor bounds, rows, equalities or reference: no number of joints.")
+        m = next(iter(widths.values()))
+        for name, width in widths.items():
+            if width != m:
+                raise InputError(f"{name} has {width} joints; expected {m}, as many as {next(iter(widths))}.")
         _set(
             self,
             levels=tuple(levels),
@@ -207,13 +253,58 @@ class IKProblem:
             rows=Rows.none(m) if rows is None else rows,
             reference=finite_array("reference", np.zeros(m) if reference is None else reference, (m,)),
             equalities=Equalities.none(m) if equalities is None else equalities,
+            metric=_positive_metric(np.ones(m) if metric is None else metric, m),
+            noise=fraction("noise", noise, below=NOISIEST),
         )
-        widths = {f"level {level.name!r}": level.matrix.shape[1] for level in levels}
-        widths |= {"bounds": len(self.bounds.lower), "rows": self.rows.matrix.shape[1]}
-        widths |= {"equalities": self.equalities.matrix.shape[1]}
-        for name, width in widths.items():
-            if width != m:
-                raise InputError(f"{name} has {width} joints; expected {m}, as many as the first level.")
+
+    def with_levels(self, levels: Sequence[Level]) -> "IKProblem":
+        """Return the problem with other levels."""
+        return replaced(self, levels=tuple(levels))
+
+    @cached_property
+    def metric_root(self) -> Array:
+        """L with LᵀL = M: `(m,)` of a diagonal metric, else upper triangular `(m, m)`."""
+        return read_only(np.sqrt(self.metric) if self.metric.ndim == 1 else np.linalg.cholesky(self.metric).T)
+
+    @cached_property
+    def in_metric(self) -> "IKProblem":
+        """The same problem for u = L dθ, in which the metric is the identity. The problem itself if it has that already.
+
+        A bound on a joint becomes one on the joint's u, or a row if the metric couples joints.
+        """
+        root = self.metric_root
+        if root.ndim == 1 and (root == 1.0).all():
+            return self
+        m, bounds, rows = self.joint_count, self.bounds, self.rows
+        if root.ndim == 1:
+            bounds = trusted(Bounds, lower=bounds.lower * root, upper=bounds.upper * root, names=bounds.names)
+        else:
+            bounds, rows = Bounds.none(m), self.inequalities
+        return trusted(
+            IKProblem,
+            levels=tuple(replaced(level, matrix=self._divided(level.matrix)) for level in self.levels),
+            bounds=bounds,
+            rows=replaced(rows, matrix=self._divided(rows.matrix)),
+            reference=self.to_metric(self.reference),
+            equalities=replaced(self.equalities, matrix=self._divided(self.equalities.matrix)),
+            metric=np.ones(m),
+            noise=self.noise,
+        )
+
+    def to_metric(self, dtheta: Array) -> Array:
+        """Return u = L dθ `(m,)`."""
+        root = self.metric_root
+        return root * dtheta if root.ndim == 1 else root @ dtheta
+
+    def from_metric(self, u: Array) -> Array:
+        """Return dθ = L⁻¹ u `(m,)`."""
+        root = self.metric_root
+        return u / root if root.ndim == 1 else scipy.linalg.solve_triangular(root, u)
+
+    def _divided(self, matrix: Array) -> Array:
+        """Return `matrix` `(k, m)` L⁻¹."""
+        root = self.metric_root
+        return matrix / root if root.ndim == 1 else scipy.linalg.solve_triangular(root, matrix.T, trans="T").T
 
     @property
     def joint_count(self) -> int:
@@ -227,10 +318,12 @@ class IKProblem:
         above, below = np.isfinite(self.bounds.upper), np.isfinite(self.bounds.lower)
         names = [f"{name} upper" for name, keep in zip(self.bounds.names, above, strict=True) if keep]
         names += [f"{name} lower" for name, keep in zip(self.bounds.names, below, strict=True) if keep]
-        return Rows(
-            np.vstack([eye[above], -eye[below], self.rows.matrix]),
-            np.concatenate([self.bounds.upper[above], -self.bounds.lower[below], self.rows.upper]),
-            (*names, *self.rows.names),
+        some = np.isfinite(self.rows.upper)
+        return trusted(
+            Rows,
+            matrix=np.vstack([eye[above], -eye[below], self.rows.matrix[some]]),
+            upper=np.concatenate([self.bounds.upper[above], -self.bounds.lower[below], self.rows.upper[some]]),
+            names=(*names, *_kept(self.rows.names, some)),
         )
 
     def softened(self, names: Sequence[str]) -> "IKProblem":
@@ -264,45 +357,115 @@ class IKProblem:
             np.where(np.isin([f"{joint} upper" for joint in joints], names), np.inf, self.bounds.upper),
             joints,
         )
-        return IKProblem(
-            (Level(matrix / sizes[:, None], target / sizes, name="softened rows", kind="at_most"), *self.levels),
-            bounds,
-            Rows(self.rows.matrix[~of_rows], self.rows.upper[~of_rows], _kept(self.rows.names, ~of_rows)),
-            self.reference,
-            Equalities(fixed.matrix[~of_fixed], fixed.target[~of_fixed], _kept(fixed.names, ~of_fixed)),
+        return replaced(
+            self,
+            levels=(Level(matrix / sizes[:, None], target / sizes, name="softened rows", kind="at_most"), *self.levels),
+            bounds=bounds,
+            rows=Rows(self.rows.matrix[~of_rows], self.rows.upper[~of_rows], _kept(self.rows.names, ~of_rows)),
+            equalities=Equalities(fixed.matrix[~of_fixed], fixed.target[~of_fixed], _kept(fixed.names, ~of_fixed)),
+        )
+
+    def violation(self, dtheta: ArrayLike) -> float:
+        """Return the worst violation of any bound, row or equality at `dtheta` `(m,)`, as a joint distance.
+
+        A row's is its distance in the joint metric, (g·dθ - h) / ‖g‖. Zero when all hold. Rows that are rounding, at most
+        `noise` of the longest, are kept by every step.
+        """
+        scaled, u = self.in_metric, self.to_metric(np.asarray(dtheta, dtype=float))
+        above = scaled.inequalities.matrix @ u - scaled.inequalities.upper
+        off = np.abs(scaled.equalities.matrix @ u - scaled.equalities.target)
+        zero = scaled.zero_length
+        return max(
+            float(np.where(sizes > zero, distances / np.maximum(sizes, np.finfo(float).tiny), 0.0).max(initial=0.0))
+            for distances, sizes in ((above, scaled.row_lengths), (off, scaled.equality_lengths))
         )
 
     def relative_violation(self, dtheta: ArrayLike) -> float:
-        """Return the worst violation of any bound, row or equality at `dtheta` `(m,)`, as a fraction of the step's scale.
-
-        A row's violation is its distance in joint space, (g·dθ - h) / ‖g‖; the step's scale is ‖dθ‖, at least
-        `STEP_FLOOR`. Zero when all hold.
-        """
+        """Return `violation` as a fraction of the step's length; of a step of zero, the distance itself."""
         step = np.asarray(dtheta, dtype=float)
-        above = self.inequalities.matrix @ step - self.inequalities.upper
-        off = np.abs(self.equalities.matrix @ step - self.equalities.target)
-        tiny = np.finfo(float).tiny
-        distances = (above / np.maximum(self._row_norms, tiny), off / np.maximum(self._equality_norms, tiny))
-        return max(0.0, *(float(distance.max(initial=0.0)) for distance in distances)) / step_scale(step)
+        return self.violation(step) / (length(self.to_metric(step)) or 1.0)
 
     def tight_rows(self, dtheta: ArrayLike, tolerance: float) -> tuple[str, ...]:
-        """Return the names of the bounds and rows within `tolerance` of binding at `dtheta`, as a joint distance [rad]."""
-        slack = self.inequalities.upper - self.inequalities.matrix @ np.asarray(dtheta, dtype=float)
-        tight = slack <= tolerance * self._row_norms
-        return tuple(name for name, is_tight in zip(self.inequalities.names, tight, strict=True) if is_tight)
+        """Return the names of the bounds and rows within `tolerance` of binding at `dtheta`, a distance in the metric."""
+        scaled, u = self.in_metric, self.to_metric(np.asarray(dtheta, dtype=float))
+        slack = scaled.inequalities.upper - scaled.inequalities.matrix @ u
+        tight = (slack <= tolerance * scaled.row_lengths) & (scaled.row_lengths > scaled.zero_length)
+        return tuple(name for name, is_tight in zip(scaled.inequalities.names, tight, strict=True) if is_tight)
 
     @cached_property
-    def _row_norms(self) -> Array:
+    def zero_length(self) -> float:
+        """Rows of levels, rows and equalities up to this length, `noise` of the longest, are rounding: none at all.
+
+        Whatever the rows, that of the last level, one joint's step in the metric, is of length one.
+        """
+        longest = [1.0, *(lengths(level.matrix).max(initial=0.0) for level in self.in_metric.levels)]
+        longest += [self.in_metric.row_lengths.max(initial=0.0), self.in_metric.equality_lengths.max(initial=0.0)]
+        return self.noise * float(max(longest))
+
+    @cached_property
+    def row_lengths(self) -> Array:
+        """Length of each of the `inequalities` `(r,)`."""
         return read_only(lengths(self.inequalities.matrix))
 
     @cached_property
-    def _equality_norms(self) -> Array:
+    def equality_lengths(self) -> Array:
+        """Length of each of the `equalities` `(e,)`."""
         return read_only(lengths(self.equalities.matrix))
 
+    def __str__(self) -> str:
+        """Return the problem in a few lines."""
+        lines = [f"IKProblem of {self.joint_count} joints, {len(self.levels)} levels"]
+        for number, level in enumerate(self.levels, 1):
+            damped = f", damping {level.damping:g} ({level.below})" if level.damping else ""
+            k = len(level.target)
+            lines.append(f"  {number}. {level.name}: {k} rows, {level.kind}, asks for {level.demand:.3g}{damped}")
+        bounded = np.count_nonzero(np.isfinite(self.bounds.lower) | np.isfinite(self.bounds.upper))
+        frozen = np.count_nonzero(self.bounds.lower == self.bounds.upper)
+        lines.append(
+            f"  hard: {bounded} joints bounded ({frozen} frozen), {len(self.rows.upper)} rows, "
+            f"{len(self.equalities.target)} equalities"
+        )
+        return "\n".join(lines)
 
-def step_scale(dtheta: Array) -> float:
-    """Return what relative figures of a step count against: ‖dθ‖ [rad], at least `STEP_FLOOR`."""
-    return max(length(dtheta), STEP_FLOOR)
+
+def trusted(kind: type[Record], /, **fields: object) -> Record:
+    """Return a record of `kind` with fields that need no check: arrays that this package made of checked ones."""
+    record = object.__new__(kind)
+    _set(record, **fields)
+    return record
+
+
+def replaced(record: Record, /, **fields: object) -> Record:
+    """Return `record` with some fields changed, unchecked: see `trusted`."""
+    kept = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}  # type: ignore[arg-type]
+    return trusted(type(record), **kept | fields)
+
+
+def _positive_metric(metric: ArrayLike, m: int) -> Array:
+    """Return the metric `(m,)` or `(m, m)` if it is positive definite."""
+    if np.ndim(metric) == 2:
+        matrix = finite_array("metric", metric, (m, m))
+        skew = float(np.abs(matrix - matrix.T).max(initial=0.0))
+        if skew > NOISE * float(np.abs(matrix).max(initial=0.0)):
+            raise InputError(f"metric differs from its transpose by {skew:g}; expected a symmetric matrix.")
+        least = float(np.linalg.eigvalsh(matrix)[0]) if m else 1.0
+        if least <= NOISE * float(np.trace(matrix)):
+            raise InputError(f"metric has the eigenvalue {least:g}; expected a positive definite matrix.")
+        return matrix
+    diagonal = finite_array("metric", metric, (m,))
+    if (diagonal <= 0.0).any():
+        place = int(np.argmin(diagonal))
+        raise InputError(f"metric[{place}] is {diagonal[place]}; expected numbers above 0.")
+    return diagonal
+
+
+def _upper_side(what: str, upper: ArrayLike, count: int) -> Array:
+    """Return upper sides `(count,)`, which may be infinite: then there is none."""
+    side = shaped_array(what, upper, (count,))
+    never = np.flatnonzero(side == -np.inf)
+    if never.size:
+        raise InputError(f"{what}[{int(never[0])}] is -inf, which no step can keep; expected numbers or inf.")
+    return side
 
 
 def _kept(names: tuple[str, ...], kept: NDArray[np.bool_]) -> tuple[str, ...]:

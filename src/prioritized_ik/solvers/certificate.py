@@ -1,14 +1,22 @@
-"""Proof that a joint step is the lexicographic optimum, from the problem and the step alone.
+"""Proof that a joint step is the lexicographic optimum, from the problem and the step alone, as a bound.
 
 At the optimum every level ℓ has multipliers λ with
 
-    A_ℓᵀW_ℓ(A_ℓ dθ - b_ℓ) + Σ_{j<ℓ} A_jᵀμ_j + C ᵀλ = 0
+    A_ℓᵀW_ℓ(A_ℓ u - b_ℓ) + Σ_{j<ℓ} A_jᵀμ_j + C ᵀλ = 0
 
-over the tight rows C, where λ_i >= 0 unless a level above has already settled row i: read row by row from the top level
-down, the first multiplier that is not zero is positive. Whether such multipliers exist is a non-negative least squares
-problem a level. What it leaves over is counted as the joint displacement that would still lower the level's cost, so that
-the figure means the same on directions that the level hardly feels; it is zero exactly where the conditions hold, signs
-included.
+over the rows C near the step, where λ_i >= 0 unless a level above already has a positive multiplier for row i, which holds
+it for good: read row by row from the top level down, the first multiplier that is not zero is positive. Finding them is a
+non-negative least squares problem a level. Given any such λ, weak duality bounds how much lower the level's cost could be
+without harm to those above:
+
+    Q_ℓ(u) - Q_ℓ* <= 2 λᵀ slack + 2 Σ |λ_i| leak_i + ‖rest‖²,
+
+with leak_i how far a row that a level above holds can move without costing that level more than its own gap, and the rest
+counted in coordinates in which Q_ℓ is ‖·‖². So complementary slackness is part of the bound: a row that is merely near
+cannot carry a multiplier for nothing. What the conditions leave over is told as a joint displacement too, because a level
+may hardly feel what decides the step.
+
+Everything is in the problem's joint metric.
 """
 
 from collections.abc import Iterator
@@ -18,27 +26,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from prioritized_ik.problem import IKProblem, step_scale
-from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.cones import directions_left, nonnegative_least_squares
-from prioritized_ik.solvers.hierarchy import HARD, SETTLED_ROW, Hierarchy, Whitened
+from prioritized_ik.problem import IKProblem
+from prioritized_ik.solvers.hierarchy import HARD, Hierarchy, Shortfall
+from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
+from prioritized_ik.tolerances import CERTIFIED, GAP, NOTHING, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, finite_array, fraction, length, lengths
 
-#: A certificate holds if every figure of it, relative to the step, is at most this.
-CERTIFIED = 1e-8
 
-#: A direction without cost counts as felt this much weaker than the level's strongest, so that a descent along it shows.
-UNFELT = 1e-2
-
-#: The conditions are differences of large terms where a level wants far more than the rows allow; this fraction of the
-#: terms is noise: sixty products of two doubles each.
-ROUNDING = 64 * float(np.finfo(float).eps)
-
-FEIGNED = 1e-2  # of a step: where rounding can feign more than this, nothing is proven
-
-NOTHING = 1e-12  # a multiplier below this fraction of a level's terms is none
-
-NARROW = 1e-9  # a wedge between tight rows that is narrower than this is rounding
+IMPROVEMENTS = 4  # of a combination in extended precision; each gains as many digits as the rows leave
 
 
 @dataclass(frozen=True)
@@ -47,51 +42,72 @@ class LevelProof:
 
     Attributes:
         level: its name.
-        displacement: what would still lower the level's cost without harm to those above `(m,)` [rad], beyond rounding.
-        rounding: how long a displacement the rounding of the conditions' own terms explains [rad].
+        gap: how much lower its cost could be, in its own units, squared.
+        demand: size of what it asks for and of what the step does to it, what the gap is relative to, squared.
+        displacement: what would still lower the level's cost without harm to those above `(m,)`, beyond rounding.
+        rounding: how long a displacement the rounding of the conditions' own terms explains.
         multipliers: λ `(r,)` of the pooled rows; zero for those that do not hold the level back.
         gradient: the level's, in scaled coordinates `(v,)`.
-        tight: numbers of the rows that may hold it back `(t,)`.
+        near: numbers of the rows that may hold it back `(t,)`.
         normals: those rows in the same coordinates `(t, v)`, of unit length.
+        scale: what displacements are relative to.
+        tolerance: what displacements may reach, relative to that.
     """
 
     level: str
+    gap: float
+    demand: float
     displacement: Array
     rounding: float
     multipliers: Array
     gradient: Array
-    tight: NDArray[np.int_]
+    near: NDArray[np.int_]
     normals: Array
-
-    def pulls(self, active: NDArray[np.bool_]) -> int | None:
-        """Return the number of the `active` row that pulls most: its multiplier is negative if all are to be equalities."""
-        among = active[self.tight]
-        if not among.any():
-            return None
-        signed = np.linalg.lstsq(self.normals[among].T, -self.gradient)[0]
-        worst = int(np.argmin(signed))
-        return int(self.tight[among][worst]) if signed[worst] < 0.0 else None
+    scale: float
+    tolerance: float
 
     @cached_property
     def excess(self) -> float:
-        """Length of the displacement [rad]."""
+        """Length of the displacement."""
         return length(self.displacement)
+
+    @property
+    def relative_gap(self) -> float:
+        """The gap relative to the demand, squared; zero if there is none."""
+        return self.gap / self.demand**2 if self.gap and self.demand else 0.0
+
+    @property
+    def fails(self) -> bool:
+        """Whether the level is not proven optimal."""
+        return self.excess > self.tolerance * self.scale or self.relative_gap > GAP
+
+    def pulls(self, active: NDArray[np.bool_]) -> Iterator[int]:
+        """Yield the `active` rows that pull, most first: their multipliers are negative if all are to be equalities."""
+        among = active[self.near]
+        if among.any():
+            signed = np.linalg.lstsq(self.normals[among].T, -self.gradient)[0]
+            for place in np.argsort(signed):
+                if signed[place] < 0.0:
+                    yield int(self.near[among][place])
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """Lexicographic optimality of one step; figures are fractions of the step, which counts as 1e-4 rad at least.
+    """Lexicographic optimality of one step, as bounds; the implicit last level is included.
 
     Attributes:
-        violation: worst violation of a hard row, bound or equality.
-        stationarity: by level, the implicit last one included: how much of a step would still lower its cost, beyond what
-            `rounding` explains.
+        violation: worst violation of a hard row, bound or equality, relative to the step.
+        gaps: by level, how much lower its cost (Eq. 10) could be, in its own units, squared.
+        relative_gaps: the same relative to the level's demand, squared.
+        stationarity: by level, how much of a step would still lower its cost, beyond what `rounding` explains.
         rounding: by level, how much of a step the rounding of the conditions' own terms can feign.
         held_by: by level, the names of the rows that hold it back (their multipliers are positive).
-        tolerance: what figures may reach.
+        tolerance: what violation and stationarity may reach.
     """
 
     violation: float
+    gaps: tuple[float, ...]
+    relative_gaps: tuple[float, ...]
     stationarity: tuple[float, ...]
     rounding: tuple[float, ...]
     held_by: tuple[tuple[str, ...], ...]
@@ -99,19 +115,45 @@ class Certificate:
 
     @property
     def worst(self) -> float:
-        """The largest of the figures."""
+        """The largest of violation and stationarity."""
         return max(self.violation, *self.stationarity)
 
     @property
+    def variation(self) -> float:
+        """How far dθ may be from the one optimum, relative to the step, by rounding alone.
+
+        The last level's cost is ‖dθ - r‖² itself, so what it could be lower by tells too.
+        """
+        return max(*self.rounding, self.relative_gaps[-1])
+
+    @property
     def holds(self) -> bool:
-        """Whether the step is proven optimal."""
-        return self.worst <= self.tolerance and max(self.rounding) <= FEIGNED
+        """Whether the step is proven optimal: no figure above its tolerance, and no room for another step."""
+        return self.is_optimal and self.variation <= UNDECIDED
+
+    @property
+    def is_optimal(self) -> bool:
+        """Whether no level's cost could be lower by more than the tolerances, however flat the optimum may be."""
+        return self.worst <= self.tolerance and max(self.relative_gaps[:-1], default=0.0) <= GAP
+
+    def __str__(self) -> str:
+        """Return the certificate in one line."""
+        if self.holds:
+            return f"proven optimal: gap at most {max(self.relative_gaps):.0e} of a demand, step to within {self.worst:.0e}"
+        if self.is_optimal:
+            return f"optimal, but the optimum is flat: rounding leaves dθ undecided by {self.variation:.0e} of the step"
+        return (
+            f"not proven: violation {self.violation:.0e}, gap {max(self.relative_gaps):.0e} of a demand, "
+            f"displacement {max(self.stationarity):.0e} of the step"
+        )
 
 
 def certify(
-    problem: IKProblem, dtheta: ArrayLike, rank_tolerance: float = RANK_TOLERANCE, tolerance: float = CERTIFIED
+    problem: IKProblem, dtheta: ArrayLike, rank_tolerance: float = 0.0, tolerance: float = CERTIFIED
 ) -> Certificate:
     """Return the certificate of any step, from whatever solver.
+
+    A damped level is taken as its rows, √δ dθ among them; see `damping.handed_down` for one whose optimum is handed on.
 
     Args:
         problem: what the step is to solve.
@@ -124,28 +166,30 @@ def certify(
     """
     step = finite_array("dtheta", dtheta, (problem.joint_count,))
     fraction("tolerance", tolerance)
-    return Proof(Hierarchy(problem, rank_tolerance), step, tolerance).certificate
+    return Proof(Hierarchy(problem, rank_tolerance), problem.to_metric(step), tolerance).certificate
 
 
 class Proof:
     """The proofs of all levels at one step, and the certificate that sums them up.
 
     Attributes:
-        tight: which pooled rows the step ends on `(r,)`; broken hard ones count too.
+        near: which pooled rows the step ends on `(r,)`; broken hard ones count too.
+        exceeded: which rows of soft levels it exceeds `(r,)`.
         levels: one proof a level, the last level's last.
-        free: orthonormal directions `(m, f)` that all levels but the last leave.
     """
 
-    def __init__(self, hierarchy: Hierarchy, dtheta: Array, tolerance: float = CERTIFIED) -> None:
+    def __init__(self, hierarchy: Hierarchy, u: Array, tolerance: float = CERTIFIED) -> None:
         self._hierarchy = hierarchy
-        self._dtheta = dtheta
+        self._u = u
         self.tolerance = tolerance
-        self.scale = step_scale(dtheta)
+        self.scale = hierarchy.scale(u)
         rows = hierarchy.rows
-        self.slack = rows.slack(dtheta)
+        self.slack = rows.slack(u)
         near = tolerance * self.scale
-        self.tight = (self.slack <= near) & ((rows.level == HARD) | (self.slack >= -near))
+        self.near = (self.slack <= near) & ((rows.level == HARD) | (self.slack >= -near))
         self.exceeded = (rows.level != HARD) & (self.slack < -near)
+        #: How far a row can move that a level above holds, infinite for those that none holds.
+        self._leak = np.full(len(rows.upper), np.inf)
         self.levels = list(self._prove())
 
     @cached_property
@@ -153,75 +197,146 @@ class Proof:
         """The figures."""
         names = self._hierarchy.rows.names
         return Certificate(
-            self._hierarchy.problem.relative_violation(self._dtheta),
+            self._violation() / self.scale,
+            tuple(level.gap for level in self.levels),
+            tuple(level.relative_gap for level in self.levels),
             tuple(level.excess / self.scale for level in self.levels),
             tuple(level.rounding / self.scale for level in self.levels),
-            tuple(tuple(names[i] for i in np.flatnonzero(level.multipliers)) for level in self.levels),
+            tuple(tuple(names[i] for i in np.flatnonzero(level.multipliers > 0.0)) for level in self.levels),
             self.tolerance,
         )
 
     @property
     def ends_on(self) -> NDArray[np.bool_]:
         """Which pooled rows `(r,)` the step ends on, those of soft levels that it exceeds included."""
-        return self.tight | self.exceeded
+        return self.near | self.exceeded
+
+    def _violation(self) -> float:
+        hierarchy, rows = self._hierarchy, self._hierarchy.rows
+        equalities = hierarchy.problem.equalities
+        off = np.abs(equalities.matrix @ self._u - equalities.target) / lengths(equalities.matrix)
+        broken = -self.slack[rows.level == HARD]
+        return max(0.0, float(off.max(initial=0.0)), float(broken.max(initial=0.0)))
 
     def _prove(self) -> Iterator[LevelProof]:
-        hierarchy, rows, free, dtheta = self._hierarchy, self._hierarchy.rows, self._hierarchy.free, self._dtheta
-        size_of_step = length(dtheta)
-        tight = np.flatnonzero(self.tight & (rows.level == HARD))
-        free = directions_left(free, rows.matrix[tight], NARROW)
-        for number, (level, task) in enumerate(zip(hierarchy.problem.levels, hierarchy.tasks, strict=True)):
-            if task is not None:
-                felt = task.within(free)
-                yield self._proof(
-                    level.name, felt, -felt.project(task.missing(dtheta)), task.size(size_of_step), 0.0, free, tight
-                )
-            else:
+        hierarchy, rows, u = self._hierarchy, self._hierarchy.rows, self._u
+        free, near = hierarchy.free, np.flatnonzero(self.near & (rows.level == HARD))
+        for number, (level, block) in enumerate(zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)):
+            shortfall = block.shortfall(rows, self.slack, self.exceeded, u, free)
+            yield self._proof(level.name, shortfall, free, near)
+            if block.is_soft:
+                # None may be exceeded by more than it is, and none by less without costing the level: they hold.
                 own = self.exceeded & (rows.level == number)
-                felt = rows.within(own, free)
-                excess = -rows.strengths[own] * self.slack[own]
-                size = float(np.linalg.norm(rows.strengths[own] * (np.abs(rows.upper[own]) + size_of_step)))
-                leak = (1 + number) * float(np.linalg.norm(rows.strengths[own] * excess))
-                yield self._proof(level.name, felt, felt.project(excess), size, leak, free, tight)
-                tight = np.concatenate([tight, np.flatnonzero(self.tight & (rows.level == number))])
-            free = directions_left(felt.unfelt, rows.matrix[tight], NARROW)
-        self.free = free
-        last, reference = Whitened(free, free[:, :0], None), hierarchy.problem.reference
-        size = size_of_step + length(reference)
-        yield self._proof("last level", last, free.T @ (dtheta - reference), size, 0.0, free, tight)
+                free = shortfall.felt.unfelt if own.any() else free
+                near = np.concatenate([near, np.flatnonzero(self.near & (rows.level == number))])
+            else:
+                free = shortfall.felt.unfelt
+        reference = hierarchy.problem.reference
+        terms = np.abs(free.T) @ (np.abs(u) + np.abs(reference))
+        size = length(u) + length(reference)
+        last = Shortfall(Range(free, free[:, :0], None), free.T @ (u - reference), terms, size, 0.0)
+        yield self._proof("last level", last, free, near)
 
     def _proof(
-        self, name: str, felt: Whitened, lacking: Array, size: float, leak: float, free: Array, tight: NDArray[np.int_]
+        self, name: str, shortfall: Shortfall, free: Array, near: NDArray[np.int_]
     ) -> LevelProof:
-        """Return the proof of a level.
-
-        Args:
-            name: the level's.
-            felt: what it feels of the directions left to it.
-            lacking: its gradient `(r,)` in the coordinates of `felt`.
-            size: of the terms of which that is the difference.
-            leak: what rounding lets through of the gradient that levels above absorb is a rounding of this.
-            free: the directions left to it `(m, f)`.
-            tight: numbers of the rows that may hold it back.
-        """
-        rows = self._hierarchy.rows
+        """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back."""
+        rows, felt = self._hierarchy.rows, shortfall.felt
         felt_lengths = lengths(felt.felt.T)
         unfelt_lengths = np.full(felt.unfelt.shape[1], min(felt_lengths, default=1.0) / UNFELT)
         basis = np.hstack([felt.felt, felt.unfelt * unfelt_lengths])
-        gradient = np.concatenate([lacking, np.zeros_like(unfelt_lengths)])
-        felt_terms = np.full(len(lacking), size + leak * max(felt_lengths, default=0.0))
+        gradient = np.concatenate([shortfall.gradient, np.zeros_like(unfelt_lengths)])
+        size, leak = length(shortfall.terms), shortfall.leak
+        felt_terms = shortfall.terms + leak * max(felt_lengths, default=0.0)
         terms = np.concatenate([felt_terms, size / UNFELT + leak * unfelt_lengths])
-        tight = tight[rows.reach(tight, free) > SETTLED_ROW]
-        cone = rows.matrix[tight] @ basis
-        sizes = lengths(cone)
-        normals = cone / sizes[:, None]
-        combination = np.zeros(len(tight))
-        if len(tight) and lacking.any():
-            combination, _ = nonnegative_least_squares(normals.T, -gradient)
-        rest = gradient + normals.T @ combination
-        rounding = ROUNDING * (terms + np.abs(normals).T @ combination)
-        explained = float(np.linalg.norm(np.concatenate([felt_lengths, unfelt_lengths]) * rounding))
-        beyond = np.sign(rest) * np.maximum(np.abs(rest) - rounding, 0.0)
+        near = near[rows.reach(near, free) > self._hierarchy.settled]
+        held = np.isfinite(self._leak[near])  # by a level above: of either sign here
+        all_lengths = np.concatenate([felt_lengths, unfelt_lengths])
+        for extended in (False, True):
+            balance = _balanced(rows.matrix[near], basis, gradient, held, extended=extended)
+            rounding = ROUNDING * terms + balance.rounding
+            explained = float(np.linalg.norm(all_lengths * rounding))
+            beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
+            displacement = -(basis @ beyond)
+            # Where double precision cannot tell, once more in extended.
+            if explained <= UNDECIDED * self.scale and length(displacement) <= self.tolerance * self.scale:
+                break
+        normals, sizes, combination = balance.normals, balance.sizes, balance.combination
+        net = combination[: len(near)].copy()
+        net[held] -= combination[len(near) :]
         multipliers = np.zeros(len(rows.upper))
-        multipliers[tight] = np.where(combination > NOTHING * (size + combination.sum()), combination / sizes, 0.0)
-        return LevelProof(name, -(basis @ beyond), explained, multipliers, gradient, tight, normals)
+        multipliers[near] = np.where(np.abs(net) > NOTHING * (size + np.abs(net).sum()), net / sizes, 0.0)
+        room = np.where(held & (net < 0.0), np.minimum(self._leak[near], 1e300), np.abs(self.slack[near]))
+        gap = 2.0 * float(np.abs(net / sizes) @ room) + float(beyond @ beyond)
+        positive = ~held & (multipliers[near] > 0.0)
+        self._leak[near[positive]] = gap / multipliers[near[positive]]
+        moved = np.abs(net) > NOTHING * (size + np.abs(net).sum())
+        away = rows.reach(near, felt.unfelt)
+        away = np.where(away > self._hierarchy.settled, away, rows.reach(near, free))
+        loosened = float((np.where(held & (net < 0.0), 0.0, np.abs(self.slack[near])) / away)[moved].max(initial=0.0))
+        return LevelProof(
+            name,
+            gap,
+            shortfall.size,
+            displacement,
+            max(explained, loosened),
+            multipliers,
+            gradient,
+            near,
+            normals,
+            self.scale,
+            self.tolerance,
+        )
+
+
+@dataclass(frozen=True)
+class _Balance:
+    """How far rows can balance a gradient.
+
+    Attributes:
+        normals: of the rows, of unit length `(t, v)`.
+        sizes: their lengths before `(t,)`.
+        combination: of the normals, then of those turned round that may have either sign, not negative.
+        rest: what is left `(v,)`.
+        rounding: how much of that the rounding of the sum can be `(v,)`.
+    """
+
+    normals: Array
+    sizes: Array
+    combination: Array
+    rest: Array
+    rounding: Array
+
+
+def _balanced(rows: Array, basis: Array, gradient: Array, held: NDArray[np.bool_], *, extended: bool) -> _Balance:
+    """Return how far `rows` `(t, m)` in the coordinates of `basis` `(m, v)` can balance a `gradient` `(v,)`.
+
+    The combination may need digits that doubles do not have, where rows are nearly parallel or weights far apart; in
+    `extended` precision it is improved until it has them.
+    """
+    cone = rows @ basis
+    sizes = lengths(cone)
+    normals = cone / sizes[:, None]
+    signed = np.vstack([normals, -normals[held]])
+    combination = np.zeros(len(signed))
+    if not len(rows) or not gradient.any():
+        return _Balance(normals, sizes, combination, gradient, np.zeros_like(gradient))
+    combination, _ = nonnegative_least_squares(signed.T, -gradient)
+    if not extended:
+        rest = gradient + signed.T @ combination
+        return _Balance(normals, sizes, combination, rest, ROUNDING * (np.abs(signed).T @ combination))
+    long = np.longdouble
+    exact = (rows.astype(long) @ basis.astype(long)) / sizes.astype(long)[:, None]
+    positive = combination > 0.0
+    columns = np.vstack([exact, -exact[held]])[positive].T
+    improved = combination[positive].astype(long)
+    for _ in range(IMPROVEMENTS):
+        missing = -gradient.astype(long) - columns @ improved
+        improved = improved + np.linalg.lstsq(signed[positive].T, missing.astype(float))[0]
+    if improved.min(initial=0.0) >= 0.0:
+        combination[positive] = improved.astype(float)
+    else:
+        improved = combination[positive].astype(long)
+    rest = (gradient.astype(long) + columns @ improved).astype(float)
+    blur = ROUNDING * float(np.finfo(long).eps / np.finfo(float).eps)
+    return _Balance(normals, sizes, combination, rest, blur * (np.abs(signed).T @ combination))

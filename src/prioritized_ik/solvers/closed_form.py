@@ -16,9 +16,11 @@ import scipy.linalg
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Level
-from prioritized_ik.validation import Array, fraction
+from prioritized_ik.tolerances import NOISE
+from prioritized_ik.validation import Array, fraction, lengths
 
-#: Singular values up to this fraction of the largest count as zero. Along the windings of the 17-link arm the 34th is below
+#: The rank tolerance of everything that reproduces the paper: singular values up to this fraction of the largest count as
+#: zero. Along the windings of the 17-link arm the 34th is below
 #: 1e-6 of the first in 18 % of the steps (straight or planar poses: rank 33), above 1e-4 in 79 %, and in between in 3 %. A
 #: joint step of 0.1 rad moves an end point by less than 0.05 mm along a direction below 1e-4. Its share of the cost, 1e-8
 #: and less, is what solvers then differ about.
@@ -138,21 +140,54 @@ def overconstrained_solution(
     return weighted_optimum(jacobian, weights, dx_desired)
 
 
-def level_decomposition(level: Level, free: Array, rank_tolerance: float) -> tuple[RankDecomposition, Array]:
+@dataclass(frozen=True)
+class Spectrum:
+    """Singular values of a level's matrix in the directions left to it, and where they were cut.
+
+    Attributes:
+        kept: those that count, the largest first.
+        cut: those taken for zero.
+        relative_to: what 1 is: the largest of the whole matrix, or a row's length where only rounding is cut.
+        cut_rows: orthonormal combinations of the rows `(c, k)`, one each value cut, with weights and lengths as given.
+    """
+
+    kept: Array
+    cut: Array
+    relative_to: str
+    cut_rows: Array
+
+
+def level_decomposition(
+    level: Level, free: Array, rank_tolerance: float, noise: float = NOISE
+) -> tuple[RankDecomposition, Array, Spectrum]:
     """Eq. (6) of what a level can still do in orthonormal `free` directions `(m, f)`, and what it cannot.
 
-    The rank is that of the level's matrix, whatever its weights, and counts against all the level could do.
+    Two rules. What is rounding is always cut, counted in rows of unit length, so that it depends neither on the units of
+    rows nor on weights: singular values up to `noise`. What is weak but real is cut only if the caller says so:
+    singular values up to `rank_tolerance` of the largest of the level's matrix as it stands.
+
+    The paper's winding needs the second rule: at a straight arm a row is as short as its direction is weak, so that no
+    scaling of rows can tell a weak direction from one in smaller units; the user can.
 
     Returns:
-        J_a `(k, p)` and J_b `(p, f)`, whose rows are orthonormal; and a basis `(f, f - p)` of what the level does not feel.
+        J_a `(k, p)` and J_b `(p, f)`, whose rows are orthonormal; a basis `(f, f - p)` of what the level does not feel; and
+        the singular values.
     """
     m = level.matrix.shape[1]
     matrix = level.matrix @ free
-    _, s, vt = np.linalg.svd(matrix, full_matrices=len(matrix) < free.shape[1])
-    largest = s.max(initial=0.0) if free.shape[1] == m else np.linalg.norm(level.matrix, 2)
-    p = int(np.count_nonzero(s > fraction("rank_tolerance", rank_tolerance) * largest))
+    seen, largest, relative_to = matrix, 1.0, "a row's length"
+    if rank_tolerance:
+        relative_to = "the largest of the matrix"
+    else:
+        sizes = lengths(level.matrix)
+        seen = matrix / np.where(sizes > 0.0, sizes, 1.0)[:, None]
+    u, s, vt = np.linalg.svd(seen, full_matrices=len(matrix) < free.shape[1])
+    if rank_tolerance:
+        largest = float(s.max(initial=0.0) if free.shape[1] == m else np.linalg.norm(level.matrix, 2)) or 1.0
+    p = int(np.count_nonzero(s > max(rank_tolerance, noise) * largest))
+    spectrum = Spectrum(s[:p] / largest, s[p:] / largest, relative_to, u[:, p : len(s)].T)
     # Not U S: its rounding, relative to all of J, would be magnified by the weights.
-    return RankDecomposition(matrix @ vt[:p].T, vt[:p]), vt[p:].T
+    return RankDecomposition(matrix @ vt[:p].T, vt[:p]), vt[p:].T, spectrum
 
 
 def _require(case: TaskCase, jacobian: Array, rank_tolerance: float, equation: str) -> None:

@@ -17,11 +17,9 @@ import scipy.optimize
 
 from prioritized_ik.errors import PrioritizedIkError
 from prioritized_ik.problem import IKProblem
+from prioritized_ik.solvers.hierarchy import impossible_rows
+from prioritized_ik.tolerances import FEASIBLE
 from prioritized_ik.validation import Array, lengths
-
-#: [rad] A row that a step keeps to within this is kept: it is far above what a side of 1 rad is rounded to, and far below
-#: what matters to a joint. Of a side beyond 1 rad it is the fraction.
-FEASIBLE = 1e-9
 
 #: HiGHS keeps rows to within 1e-7 of its unit, so a least violation above this many units is right to one in a million.
 RESOLVED = 0.1
@@ -45,6 +43,8 @@ class Conflict:
     def text(self) -> str:
         """What is wrong and what to do about it."""
         names = ", ".join(repr(name) for name in self.names)
+        if self.excess == float("inf"):
+            return f"{names} is moved by no joint, its coefficients are rounding, and is broken by every step; leave it out."
         return (
             f"no step keeps all of {names}: at best one is broken by {self.excess:.3g} rad, as a joint distance. "
             f"Widen each by that much, drop one, or make them soft with problem.softened({list(self.names)!r})."
@@ -62,6 +62,10 @@ def find_conflict(problem: IKProblem) -> Conflict | None:
         PrioritizedIkError: HiGHS did not solve a linear program, though all that it is given have a solution.
     """
     hard = _hard_rows(problem)
+    likely = float(np.abs(hard.sides).max(initial=0.0)) or 1.0
+    never = impossible_rows(problem.in_metric, FEASIBLE * likely * problem.in_metric.zero_length / problem.noise)
+    if never:
+        return Conflict(never[:1], float("inf"))
     violation = _least_violation(hard)
     if violation is None:
         return None
@@ -93,13 +97,14 @@ class _HardRows:
 
 def _hard_rows(problem: IKProblem) -> _HardRows:
     """Return all hard rows but those of zeros, which every step keeps."""
+    problem = problem.in_metric
     rows, equal = problem.inequalities, problem.equalities
     matrix = np.vstack([rows.matrix, equal.matrix, -equal.matrix])
     sides = np.concatenate([rows.upper, equal.target, -equal.target])
     equal_owners = len(rows.upper) + np.arange(len(equal.target))
     owners = np.concatenate([np.arange(len(rows.upper)), equal_owners, equal_owners])
     sizes = lengths(matrix)
-    some = sizes > 0.0
+    some = sizes > problem.zero_length
     return _HardRows(matrix[some] / sizes[some, None], sides[some] / sizes[some], owners[some])
 
 
@@ -120,7 +125,7 @@ def _least_violation(hard: _HardRows) -> _Violation | None:
     dtheta, found = np.zeros(hard.matrix.shape[1]), None
     for _ in range(PASSES):
         slack = hard.sides - hard.matrix @ dtheta
-        if (slack >= -FEASIBLE * np.maximum(np.abs(hard.sides), 1.0)).all():
+        if (slack >= -FEASIBLE * np.maximum(np.abs(hard.sides), np.linalg.norm(dtheta))).all():
             return None
         if found is not None:
             return found

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
-from prioritized_ik.solvers.certificate import CERTIFIED
+from prioritized_ik.problem import Bounds, IKProblem, Level, Rows, replaced
 from prioritized_ik.solvers.lexicographic import SolveOptions, solve
 from prioritized_ik.solvers.step import JointStep
+from prioritized_ik.tolerances import CERTIFIED
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,7 @@ class Concession:
         error: the error of the step.
         held_by: bounds and rows that hold it back.
         tolerance: errors nearer to each other than this are equal.
+        undone: what was left undone because directions of the level were cut as too weak or rounding.
     """
 
     level: str
@@ -30,6 +31,7 @@ class Concession:
     error: float
     held_by: tuple[str, ...]
     tolerance: float
+    undone: float = 0.0
 
     @property
     def gave_way(self) -> bool:
@@ -38,8 +40,9 @@ class Concession:
 
     def __str__(self) -> str:
         """Return one line for people."""
+        cut = f"; {self.undone:.3g} of it left undone along directions that were cut" if self.undone > self.tolerance else ""
         if not self.gave_way:
-            return f"{self.level}: error {self.error:.3g}, as if it were alone"
+            return f"{self.level}: error {self.error:.3g}{cut or ', as if it were alone'}"
         to_levels, to_rows = self.below_others - self.alone, self.error - self.below_others
         reasons = []
         if to_levels > self.tolerance:
@@ -48,7 +51,7 @@ class Concession:
             reasons.append(f"gave way by {to_rows:.3g} to {_listed(self.held_by)}")
         if to_rows < -self.tolerance:  # rows hold a level above back, to this one's gain
             reasons.append(f"got back {-to_rows:.3g} through rows")
-        return f"{self.level}: error {self.error:.3g} instead of {self.alone:.3g}; {', '.join(reasons)}"
+        return f"{self.level}: error {self.error:.3g} instead of {self.alone:.3g}; {', '.join(reasons)}{cut}"
 
 
 NAMED = 5  # rows in a message
@@ -79,6 +82,7 @@ def explain(problem: IKProblem, step: JointStep, options: SolveOptions | None = 
     options = options or SolveOptions()
     if options.soften:
         problem, options = problem.softened(options.soften), replace(options, soften=())
+    undone = {level.level: level.undone for level in step.levels}
     return tuple(
         Concession(
             level.name,
@@ -86,7 +90,8 @@ def explain(problem: IKProblem, step: JointStep, options: SolveOptions | None = 
             _error(problem, problem.levels[: i + 1], options),
             float(np.sqrt(level.cost(step.dtheta))),
             step.certificate.held_by[i],
-            CERTIFIED * float(np.sqrt(level.weights @ level.target**2)),
+            CERTIFIED * level.demand,
+            undone.get(level.name, 0.0),
         )
         for i, level in enumerate(problem.levels)
     )
@@ -95,6 +100,6 @@ def explain(problem: IKProblem, step: JointStep, options: SolveOptions | None = 
 def _error(problem: IKProblem, levels: tuple[Level, ...], options: SolveOptions) -> float:
     """Return √Q of the last of `levels` where no bounds and rows are."""
     m = problem.joint_count
-    without_rows = IKProblem(levels, Bounds.none(m), Rows.none(m), problem.reference, problem.equalities)
+    without_rows = replaced(problem, levels=levels, bounds=Bounds.none(m), rows=Rows.none(m))
     step = solve(without_rows, options=options)
     return float(np.sqrt(step.costs[-1]))

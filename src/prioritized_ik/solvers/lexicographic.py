@@ -1,28 +1,36 @@
-"""The fold over the levels: each stage moves from the last one's answer, only along what changes nothing above it.
+"""One solve, from the problem to a certified step, and the fold over levels by which a QP solver makes its guess.
 
-The closed form comes first: if it meets every row it is the optimum of every level, and no QP is needed. The polish comes
-last: it makes the answer exact, and the certificate proves it.
+The closed form comes first: if it meets every row it is the optimum of every level (Eqs. 6 and 12 to 14), and no QP is
+needed. Otherwise a guess of the rows that the optimum rests on (the rows of the last step, or a QP solver's answer level by
+level) goes to the active-set kernel, which makes it the optimum and proves it.
 """
 
+import importlib.metadata
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import cast
 
+import numpy as np
+
 from prioritized_ik.errors import InfeasibleError, InputError, StepNotFoundError
-from prioritized_ik.problem import IKProblem, step_scale
+from prioritized_ik.problem import IKProblem
+from prioritized_ik.solvers import active_set
+from prioritized_ik.solvers.active_set import Active, Solution
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.protocol import AnyBackend, Backend, StageResult, WholeBackend
 from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend
 from prioritized_ik.solvers.certificate import Proof
-from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.cones import directions_left
 from prioritized_ik.solvers.conflict import find_conflict
+from prioritized_ik.solvers.damping import handed_down
 from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.solvers.polish import Polished, polish
-from prioritized_ik.solvers.stages import Room, Stage, damped_stage, level_stage, reference_stage, slack_stage
+from prioritized_ik.solvers.report import level_reports
+from prioritized_ik.solvers.stages import FoldState, Stage, damped_stage, level_stage, reference_stage, slack_stage
+from prioritized_ik.solvers.stagewise import stagewise
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
+from prioritized_ik.solvers.subspaces import directions_left
+from prioritized_ik.tolerances import ACCEPTED_VIOLATION, FREE, NARROW, TIGHT
 from prioritized_ik.validation import Array, fraction, non_negative, one_of
 
 FORMULATIONS = ("lexicographic", "damped", "slack")
@@ -30,14 +38,8 @@ FORMULATIONS = ("lexicographic", "damped", "slack")
 #: Those that are one QP, solved as it stands; the other is a fold over stages.
 ONE_QP = {"damped": damped_stage, "slack": slack_stage}
 
-#: A step may break a row by this fraction of its own size; beyond, it is not accepted.
-ACCEPTED_VIOLATION = 1e-6
-
-#: A closed-form step that breaks no row by more than this fraction of itself, its own rounding, breaks none.
-FREE = 1e-12
-
-TIGHT = 1e-7  # [rad] a row this close to binding is tight: ten times what a solver at accuracy 1e-8 leaves open
-NARROW = 1e-5  # tight rows that leave a wedge narrower than this leave no room: solvers fail on narrower ones
+#: The damping of mink and pink, of the formulations that are one QP.
+DAMPING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,9 @@ class SolveOptions:
         formulation: `"lexicographic"`, exact; for comparison `"damped"`, what mink and pink do, and `"slack"`, the same
             optimum without squaring J.
         accuracy: asked of the solver, see `registry.get_backend`.
-        rank_tolerance: relative to the largest singular value of J; shared by closed form and QP.
-        damping: of the damped and slack formulations; mink's and pink's own default.
+        rank_tolerance: singular values up to this fraction of the largest of a level's matrix count as zero; shared by
+            closed form and QP. 0: only what is rounding, see `closed_form.level_decomposition`.
+        damping: of the damped and slack formulations, 1e-12 unless given, mink's and pink's own default.
         closed_form_first: whether a closed-form step that meets every row is the answer.
         polish: whether the solver's answer is made exact; its certificate is computed in any case.
         soften: names of hard bounds and rows that become the most important level instead, one of soft inequalities.
@@ -57,66 +60,140 @@ class SolveOptions:
 
     formulation: str = "lexicographic"
     accuracy: float = ACCURACY
-    rank_tolerance: float = RANK_TOLERANCE
-    damping: float = 1e-12
+    rank_tolerance: float = 0.0
+    damping: float | None = None
     closed_form_first: bool = True
     polish: bool = True
     soften: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         one_of("formulation", self.formulation, FORMULATIONS)
-        non_negative("damping", self.damping)
-        fraction("rank_tolerance", self.rank_tolerance)
+        if self.damping is not None:
+            non_negative("damping", self.damping)
+            if self.formulation not in ONE_QP:
+                raise InputError(
+                    f"damping is {self.damping!r}, but the {self.formulation} formulation has none; "
+                    "damp a level instead: Level(damping=…)."
+                )
+        if non_negative("rank_tolerance", self.rank_tolerance):
+            fraction("rank_tolerance", self.rank_tolerance)
         fraction("accuracy", self.accuracy)
         object.__setattr__(self, "soften", tuple(self.soften))
 
 
-def solve(problem: IKProblem, solver: str | AnyBackend = "daqp", options: SolveOptions | None = None) -> JointStep:
+class ActiveSet:
+    """The kernel by itself: it starts from the rows of its last step, and calls no QP solver.
+
+    Attributes:
+        name: "active-set".
+    """
+
+    name = "active-set"
+
+    def __init__(self) -> None:
+        self._last: frozenset[str] = frozenset()
+
+    @property
+    def version(self) -> str:
+        """Version of this package."""
+        return importlib.metadata.version("prioritized-ik")
+
+    def guess(self, hierarchy: Hierarchy) -> Active:
+        """Return the rows `(r,)` that the last step rested on."""
+        return np.array([name in self._last for name in hierarchy.rows.names], dtype=bool)
+
+    def remember(self, hierarchy: Hierarchy, active: Active) -> None:
+        """Keep the rows that a step rests on for the next."""
+        self._last = frozenset(hierarchy.rows.names[i] for i in np.flatnonzero(active))
+
+
+Solver = AnyBackend | ActiveSet
+
+#: What steps are found with unless told otherwise.
+DEFAULT = ActiveSet.name
+
+
+def get_solver(name: str, accuracy: float = ACCURACY) -> Solver:
+    """Return the kernel by itself for "active-set", else the QP solver called `name` that makes its guesses.
+
+    Raises:
+        SolverUnavailableError: unknown, or not installed.
+    """
+    return ActiveSet() if name == ActiveSet.name else get_backend(name, accuracy)
+
+
+def solve(problem: IKProblem, solver: str | Solver = DEFAULT, options: SolveOptions | None = None) -> JointStep:
     """Return the joint step that is optimal at every level of `problem`.
 
     Args:
         problem: levels, bounds, rows, equalities and reference.
-        solver: one of `known_solvers()`, or a backend from `get_backend`: those that start warm remember their last step.
+        solver: "active-set", one of `known_solvers()`, or one from `get_solver`: those that start warm remember their last
+            step.
         options: see `SolveOptions`.
 
     Raises:
+        InputError: an argument of another kind.
         SolverUnavailableError: unknown solver, or not installed.
         InfeasibleError: no step keeps all hard rows; it names those in conflict.
         StepNotFoundError: the solver failed or broke a row; the exception keeps the step's figures.
     """
+    if not isinstance(problem, IKProblem):
+        raise InputError(f"problem is {_kind(problem)}; expected an IKProblem, with its levels and limits.")
+    if options is not None and not isinstance(options, SolveOptions):
+        raise InputError(f"options is {_kind(options)}; expected SolveOptions.")
+    if not isinstance(solver, str) and not (hasattr(solver, "name") and hasattr(solver, "version")):
+        raise InputError(
+            f"solver is {_kind(solver)}; expected a name such as {DEFAULT!r} or 'daqp', or what get_solver returned "
+            "(limits belong into the IKProblem, options into options=)."
+        )
     options = options or SolveOptions()
-    backend = get_backend(solver, options.accuracy) if isinstance(solver, str) else solver
-    step = joint_step(problem, backend, options)
+    found = get_solver(solver, options.accuracy) if isinstance(solver, str) else solver
+    step = joint_step(problem, found, options)
     if step.conflict is not None:
         raise InfeasibleError(str(step.conflict), step)
-    if not step.found:
-        raise StepNotFoundError(f"{backend.name}: {step.status.value}. {step.message}".rstrip(), step)
+    if step.dtheta is None:
+        raise StepNotFoundError(f"{found.name}: {step.status.value}. {step.message}".rstrip(), step)
     return step
 
 
-def joint_step(problem: IKProblem, backend: AnyBackend, options: SolveOptions) -> JointStep:
+def joint_step(problem: IKProblem, solver: Solver, options: SolveOptions) -> JointStep:
     """Return the outcome of one solve as data: a failure is a status, not an exception. See `solve`."""
-    clock = _Clock()
     if options.soften:
-        problem = problem.softened(options.soften)
+        problem, options = problem.softened(options.soften), replace(options, soften=())
+    if not any(level.damping and level.below == "free" for level in problem.levels):
+        return _undamped_step(problem, solver, options)
+    clock = _Clock()
+    aimed = handed_down(problem, lambda damped: _undamped_step(damped, solver, options))
+    if isinstance(aimed, JointStep):
+        return aimed
+    timings = clock.timings()
+    step = _undamped_step(aimed, solver, options)
+    if step.dtheta is not None:
+        step = replace(step, costs=tuple(level.cost(step.dtheta) for level in problem.levels))
+    return replace(step, timings=replace(step.timings, build=step.timings.build + timings.build))
+
+
+def _undamped_step(problem: IKProblem, solver: Solver, options: SolveOptions) -> JointStep:
+    """Return the outcome of one solve of a problem whose damping, if any, is rows."""
+    clock = _Clock()
+    hierarchy = Hierarchy(problem, options.rank_tolerance)
+    solution: Solution | None = None
     if options.formulation in ONE_QP:
-        answer = _as_one_qp(problem, backend, clock, options)
+        answer = _as_one_qp(problem, solver, clock, options)
         timings = clock.timings()
-        hierarchy = Hierarchy(problem, options.rank_tolerance)
         options = replace(options, polish=False)
     else:
-        hierarchy = Hierarchy(problem, options.rank_tolerance)
         if options.closed_form_first and _meets_every_row(hierarchy):
-            step = _step(hierarchy, hierarchy.closed_form, StepStatus.CLOSED_FORM)
+            step = _step(problem, hierarchy, hierarchy.closed_form, Proof(hierarchy, hierarchy.closed_form), free=True)
             return replace(step, timings=clock.timings())
-        answer = _fold(hierarchy, backend, clock, exact=False)
-        timings = clock.timings()
-    step = _finished(hierarchy, answer, options)
-    wanting = step.status in (StepStatus.UNCERTIFIED, StepStatus.NOT_FOUND, StepStatus.VIOLATED)
-    if wanting and options.polish and not _takes_all_levels(backend):
-        # An error of an upper level can have sent those below astray: once more, with every level made exact in turn.
-        again = _finished(hierarchy, _fold(hierarchy, backend, clock, exact=True), options)
-        step = again if again.found else step
+        if isinstance(solver, ActiveSet):
+            answer = hierarchy.start
+            timings = clock.timings()
+            solution = _by_active_set(hierarchy, solver)
+        else:
+            answer = _fold(hierarchy, solver, clock)
+            timings = clock.timings()
+    step = _finished(problem, hierarchy, answer, options, solution)
     spent = clock.timings()
     return replace(
         step,
@@ -125,12 +202,17 @@ def joint_step(problem: IKProblem, backend: AnyBackend, options: SolveOptions) -
     )
 
 
+def _kind(value: object) -> str:
+    return f"{value!r} ({type(value).__name__})" if len(repr(value)) < 60 else f"of type {type(value).__name__}"
+
+
 def first_stage(problem: IKProblem, options: SolveOptions | None = None) -> Stage:
     """Return the first stage of `problem` to look at: its `problem` is a plain `qpsolvers.Problem`."""
     options = options or SolveOptions()
     if options.formulation in ONE_QP:
         return _one_qp(problem, options)
-    return level_stage(Room.whole(Hierarchy(problem, options.rank_tolerance)))
+    state = FoldState.whole(Hierarchy(problem, options.rank_tolerance))
+    return level_stage(state) if problem.levels else reference_stage(state)
 
 
 class _Clock:
@@ -161,41 +243,65 @@ def _takes_all_levels(backend: AnyBackend) -> bool:
 
 def _meets_every_row(hierarchy: Hierarchy) -> bool:
     """Whether the closed form keeps every hard and soft row, and so is the optimum of every level."""
-    dtheta = hierarchy.closed_form
-    allowed = FREE * step_scale(dtheta)
-    return bool((hierarchy.rows.slack(dtheta) >= -allowed).all()) and hierarchy.problem.relative_violation(dtheta) <= FREE
+    u = hierarchy.closed_form
+    allowed = FREE * hierarchy.scale(u)
+    return bool((hierarchy.rows.slack(u) >= -allowed).all()) and hierarchy.problem.violation(u) <= allowed
 
 
-def _fold(hierarchy: Hierarchy, backend: AnyBackend, clock: _Clock, *, exact: bool) -> Array | str:
-    """Return the solver's dθ `(m,)`, each level's answer polished if `exact`, or why there is none."""
+def _by_active_set(hierarchy: Hierarchy, solver: ActiveSet) -> Solution:
+    """Return what the kernel makes of the rows of the last step; failing that, of a guess from nothing."""
+    guess = solver.guess(hierarchy)
+    if guess.any():
+        solution = active_set.solve(hierarchy, guess, hierarchy.start)
+        if solution.converged:
+            solver.remember(hierarchy, solution.active)
+            return solution
+    solution = _from_nothing(hierarchy)
+    solver.remember(hierarchy, solution.active)
+    return solution
+
+
+def _from_nothing(hierarchy: Hierarchy) -> Solution:
+    """Return what the kernel makes of the levels solved one after the other."""
+    found = stagewise(hierarchy)
+    if found is None:
+        return active_set.solve(hierarchy, active_set.guessed(hierarchy, hierarchy.start), hierarchy.start)
+    u, active = found
+    solution = active_set.solve(hierarchy, active, u)
+    return replace(solution, converged=solution.proof.certificate.holds)
+
+
+def _fold(hierarchy: Hierarchy, backend: AnyBackend, clock: _Clock) -> Array | str:
+    """Return the solver's u `(m,)`, in the joint metric, or why there is none."""
     if _takes_all_levels(backend):
         result = clock.timed(partial(cast(WholeBackend, backend).solve_whole, hierarchy))
         return result.message if result.x is None else result.x
     solver = cast(Backend, backend)
-    room = Room.whole(hierarchy)
+    state = FoldState.whole(hierarchy)
     for level in hierarchy.problem.levels:
-        stage = level_stage(room)
+        stage = level_stage(state)
+        if not stage.costed and not len(stage.row_ids):
+            state = state.after(state.origin, stage.unfelt)
+            continue
         result = clock.timed(partial(solver.solve, stage))
         if result.x is None:
             return f"level {level.name!r}: {result.message}"
-        dtheta = stage.dtheta(result.x)
-        if exact:
-            so_far = _exact_so_far(hierarchy, room.place, dtheta)
-            dtheta, free = so_far.dtheta, so_far.proof.free
-        else:
-            left = room.after(dtheta, stage.unfelt)
-            free = directions_left(left.free, left.rows[left.slack <= TIGHT], NARROW)
-        room = room.after(dtheta, free) if exact or free is not left.free else left
+        u = stage.dtheta(result.x)
+        left = state.after(u, stage.unfelt)
+        free = directions_left(left.free, left.rows[left.slack <= TIGHT * hierarchy.length], NARROW, hierarchy.settled)
+        state = left if free is left.free else left.without(free)
         if not free.shape[1]:
-            return dtheta
-    stage = reference_stage(room)
+            return u
+    stage = reference_stage(state)
     result = clock.timed(partial(solver.solve, stage))
     return f"last level: {result.message}" if result.x is None else stage.dtheta(result.x)
 
 
-def _as_one_qp(problem: IKProblem, backend: AnyBackend, clock: _Clock, options: SolveOptions) -> Array | str:
-    """Return dθ `(m,)` of the one QP of a formulation that is one, or why there is none."""
+def _as_one_qp(problem: IKProblem, backend: Solver, clock: _Clock, options: SolveOptions) -> Array | str:
+    """Return u `(m,)`, in the joint metric, of the one QP of a formulation that is one, or why there is none."""
     formulation = options.formulation
+    if isinstance(backend, ActiveSet):
+        raise InputError(f"{backend.name} solves whole hierarchies; the {formulation} formulation needs a QP solver.")
     if _takes_all_levels(backend):
         raise InputError(
             f"{backend.name} solves whole hierarchies; the {formulation} formulation needs a solver of single QPs."
@@ -209,44 +315,48 @@ def _as_one_qp(problem: IKProblem, backend: AnyBackend, clock: _Clock, options: 
     return result.message if result.x is None else stage.dtheta(result.x)
 
 
-def _exact_so_far(hierarchy: Hierarchy, place: int, dtheta: Array) -> Polished:
-    """Return the optimum of the levels up to `place` that is nearest to `dtheta`, an answer to them."""
-    problem = hierarchy.problem
-    so_far = IKProblem(problem.levels[: place + 1], problem.bounds, problem.rows, dtheta, problem.equalities)
-    return polish(Hierarchy(so_far, hierarchy.rank_tolerance), dtheta)
+def _finished(
+    problem: IKProblem, hierarchy: Hierarchy, answer: Array | str, options: SolveOptions, solution: Solution | None
+) -> JointStep:
+    """Return the step that a solver's answer leads to: made exact, certified, and refused if it breaks a row.
 
-
-def _finished(hierarchy: Hierarchy, answer: Array | str, options: SolveOptions) -> JointStep:
-    """Return the step that a solver's answer leads to: polished, certified, and refused if it breaks a row.
-
-    Of a solver that gave up, `answer` says why; the rows may be in conflict.
+    Of a solver that gave up, `answer` says why; the rows may be in conflict. `solution` is there if no solver was called.
     """
     if isinstance(answer, str):
-        conflict = find_conflict(hierarchy.problem)
+        conflict = find_conflict(problem)
         status = StepStatus.NOT_FOUND if conflict is None else StepStatus.INFEASIBLE
         return JointStep(None, status, answer, conflict=conflict)
-    polished = polish(hierarchy, answer) if options.polish else Polished(answer, Proof(hierarchy, answer), 0, ended=True)
-    certified = polished.ended and polished.proof.certificate.holds
-    status = StepStatus.SOLVED if certified else StepStatus.UNCERTIFIED
-    step = replace(_step(hierarchy, polished.dtheta, status, polished.proof), raw=answer, repairs=polished.repairs)
-    if step.violation <= ACCEPTED_VIOLATION:
+    raw = None if solution is not None else problem.from_metric(answer)
+    if solution is None and options.polish:
+        solution = active_set.solve(hierarchy, active_set.guessed(hierarchy, answer), answer)
+        if not solution.converged:
+            solution = _from_nothing(hierarchy)  # the same for every solver
+    if solution is None:
+        solution = Solution(answer, Proof(hierarchy, answer), active_set.guessed(hierarchy, answer), 0, converged=True)
+    step = _step(problem, hierarchy, solution.u, solution.proof, converged=solution.converged)
+    step = replace(step, raw=raw, repairs=solution.iterations)
+    if step.violation <= ACCEPTED_VIOLATION and not hierarchy.impossible:
         return step
-    conflict = find_conflict(hierarchy.problem)
+    conflict = find_conflict(problem)
     status = StepStatus.VIOLATED if conflict is None else StepStatus.INFEASIBLE
     message = f"worst relative violation {step.violation:.1e}"
     return replace(step, dtheta=None, status=status, message=message, conflict=conflict)
 
 
-def _step(hierarchy: Hierarchy, dtheta: Array, status: StepStatus, proof: Proof | None = None) -> JointStep:
-    problem = hierarchy.problem
-    certificate = (proof or Proof(hierarchy, dtheta)).certificate
+def _step(
+    problem: IKProblem, hierarchy: Hierarchy, u: Array, proof: Proof, *, converged: bool = True, free: bool = False
+) -> JointStep:
+    certificate, dtheta = proof.certificate, problem.from_metric(u)
+    status = StepStatus.CLOSED_FORM if free else StepStatus.SOLVED
     return JointStep(
         dtheta,
-        status,
+        status if converged and certificate.holds else StepStatus.UNCERTIFIED,
         costs=tuple(level.cost(dtheta) for level in problem.levels),
-        tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * step_scale(dtheta)),
+        tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * proof.scale),
         violation=certificate.violation,
         certificate=certificate,
+        levels=level_reports(hierarchy, u),
+        zeros=hierarchy.zeros,
     )
 
 
@@ -259,4 +369,5 @@ def _one_qp(problem: IKProblem, options: SolveOptions) -> Stage:
         raise InputError(
             f"the {formulation} formulation takes a level of kind 'equal', not 'at_most'; use 'lexicographic'."
         )
-    return ONE_QP[formulation](problem, level, options.damping)
+    damping = DAMPING if options.damping is None else options.damping
+    return ONE_QP[formulation](problem.in_metric, problem.in_metric.levels[0], damping)

@@ -3,7 +3,7 @@
 A stage starts at the answer of the stage before, `origin`, and moves along `free`, the directions that change nothing
 above it: dθ = origin + free w. Its variables x = (y, z) are
 
-    y, the coordinates in which the level's cost is ½‖y - t‖² and no more (see `hierarchy.Whitened`),
+    y, the coordinates in which the level's cost is ½‖y - t‖² and no more (see `subspaces.Range`),
     z, along the directions this level does not feel: they cost nothing.
 
 This change of variables preconditions the problem (the Hessian is diag(1, 0)) without solving it: the solver gets the
@@ -11,19 +11,22 @@ residual objective and every row that can move. Rows are divided by their norms,
 own target, so that steps of millimetres do not drown in solver tolerances. For a soft level y is the excess itself.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import qpsolvers
 from numpy.typing import NDArray
 
 from prioritized_ik.problem import IKProblem, Level
-from prioritized_ik.solvers.hierarchy import HARD, SETTLED_ROW, Hierarchy, Task
+from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy
 from prioritized_ik.validation import Array, lengths
 
 #: In the last stage the optimum is within 2 units of x = 0, which is feasible; slacks beyond this can be cut to it
 #: without changing the optimum, and interior-point solvers start far off if they are not.
 FAR_SLACK = 10.0
+
+EXCEEDED = 1e-9  # of a soft level's unit: an excess below this is rounding
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Stage:
         place: its position in the fold over levels, from 0.
         row_ids: which of the hierarchy's pooled rows each row of G is `(r,)`.
         as_it_stands: whether a backend must solve exactly this QP, once, with its default options.
+        exceeded: of a soft level, which of the rows `(r,)` are exceeded at the variables x; None of another.
     """
 
     problem: qpsolvers.Problem
@@ -48,6 +52,7 @@ class Stage:
     place: int
     row_ids: NDArray[np.int_]
     as_it_stands: bool = False
+    exceeded: Callable[[Array], NDArray[np.bool_]] | None = None
 
     def dtheta(self, x: Array) -> Array:
         """Return the joint step `(m,)` [rad] at the variables `x`."""
@@ -65,7 +70,7 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Room:
+class FoldState:
     """What the levels so far leave to the next.
 
     Attributes:
@@ -86,20 +91,20 @@ class Room:
     slack: Array
 
     @staticmethod
-    def whole(hierarchy: Hierarchy) -> "Room":
-        """Return the room before the first level: everything that the equalities leave."""
+    def whole(hierarchy: Hierarchy) -> "FoldState":
+        """Return the state before the first level: everything that the equalities leave."""
         rows, free = hierarchy.rows, hierarchy.free
         hard = np.flatnonzero(rows.level == HARD)
-        hard = hard[rows.reach(hard, free) > SETTLED_ROW]
-        return Room(hierarchy, 0, hierarchy.start, free, hard, rows.slack(hierarchy.start)[hard])
+        hard = hard[rows.reach(hard, free) > hierarchy.settled]
+        return FoldState(hierarchy, 0, hierarchy.start, free, hard, rows.slack(hierarchy.start)[hard])
 
     @property
     def rows(self) -> Array:
         """The rows that count `(r, m)`, of unit length."""
         return self.hierarchy.rows.matrix[self.row_ids]
 
-    def after(self, origin: Array, free: Array) -> "Room":
-        """Return the room once `origin` is reached and only `free` directions are left.
+    def after(self, origin: Array, free: Array) -> "FoldState":
+        """Return the state once `origin` is reached and only `free` directions are left.
 
         What the stage just solved broke by rounding, the next may keep. The rows of a soft level just solved join: none may
         be exceeded by more than it is.
@@ -107,48 +112,58 @@ class Room:
         own = np.flatnonzero(self.hierarchy.rows.level == self.place)
         ids = np.concatenate([self.row_ids, own])
         rows = self.hierarchy.rows
-        moving = rows.reach(ids, free) > SETTLED_ROW
+        moving = rows.reach(ids, free) > self.hierarchy.settled
         ids = ids[moving]
-        return Room(self.hierarchy, self.place + 1, origin, free, ids, np.maximum(rows.slack(origin)[ids], 0.0))
+        return FoldState(self.hierarchy, self.place + 1, origin, free, ids, np.maximum(rows.slack(origin)[ids], 0.0))
+
+    def without(self, free: Array) -> "FoldState":
+        """Return the state with only `free` directions left."""
+        moving = self.hierarchy.rows.reach(self.row_ids, free) > self.hierarchy.settled
+        return replace(self, free=free, row_ids=self.row_ids[moving], slack=self.slack[moving])
 
 
-def level_stage(room: Room) -> Stage:
-    """Return the QP of the room's level."""
-    level, task = room.hierarchy.problem.levels[room.place], room.hierarchy.tasks[room.place]
-    return _soft_stage(level, room) if task is None else _task_stage(level, task, room)
+def level_stage(state: FoldState) -> Stage:
+    """Return the QP of the state's level."""
+    level, block = state.hierarchy.problem.levels[state.place], state.hierarchy.blocks[state.place]
+    return _equal_stage(level, block, state) if isinstance(block, EqualBlock) else _soft_stage(level, state)
 
 
-def reference_stage(room: Room) -> Stage:
+def reference_stage(state: FoldState) -> Stage:
     """Return the QP of the last level, min ‖dθ - r‖², whose cost feels every variable."""
-    target = room.free.T @ (room.hierarchy.problem.reference - room.origin)
-    unit = max(np.linalg.norm(target), np.linalg.norm(room.origin))
-    return _scaled_stage(room, room.free, room.free[:, :0], target, float(unit) or 1.0, FAR_SLACK)
+    target = state.free.T @ (state.hierarchy.problem.reference - state.origin)
+    unit = max(np.linalg.norm(target), np.linalg.norm(state.origin))
+    return _scaled_stage(state, state.free, state.free[:, :0], target, float(unit) or 1.0, FAR_SLACK)
 
 
-def _task_stage(level: Level, task: Task, room: Room) -> Stage:
-    felt = task.within(room.free)
-    target = felt.project(task.missing(room.origin))
+def _equal_stage(level: Level, block: EqualBlock, state: FoldState) -> Stage:
+    felt = block.within(state.free)
+    target = felt.project(block.missing(state.origin))
     unit = max(np.linalg.norm(target), np.linalg.norm(np.sqrt(level.weights) * level.target))
-    return _scaled_stage(room, felt.felt, felt.unfelt, target, float(unit) or 1.0, np.inf)
+    return _scaled_stage(state, felt.felt, felt.unfelt, target, float(unit) or 1.0, np.inf)
 
 
-def _soft_stage(level: Level, room: Room) -> Stage:
+def _soft_stage(level: Level, state: FoldState) -> Stage:
     """Return min ½‖w‖² over the excesses w `(k,)` of the level's rows, first variables, and all directions left."""
-    rows = room.hierarchy.rows
-    own = np.flatnonzero(rows.level == room.place)
-    slack, strengths = rows.slack(room.origin)[own], rows.strengths[own]
+    rows = state.hierarchy.rows
+    own = np.flatnonzero(rows.level == state.place)
+    slack, strengths = rows.slack(state.origin)[own], rows.strengths[own]
     excess = strengths * np.maximum(-slack, 0.0)  # at x = 0, so that it is feasible
     unit = float(max(np.linalg.norm(excess), np.linalg.norm(np.sqrt(level.weights) * level.target))) or 1.0
-    k, f = len(own), room.free.shape[1]
-    basis = np.hstack([np.zeros((len(room.origin), k)), room.hierarchy.length * room.free])
-    matrix = rows.matrix[np.concatenate([room.row_ids, own])] @ basis
-    matrix[len(room.row_ids) :, :k] = -np.diag(unit / strengths)
-    upper = np.concatenate([room.slack, slack + excess / strengths])
+    k, f = len(own), state.free.shape[1]
+    basis = np.hstack([np.zeros((len(state.origin), k)), state.hierarchy.length * state.free])
+    matrix = rows.matrix[np.concatenate([state.row_ids, own])] @ basis
+    matrix[len(state.row_ids) :, :k] = -np.diag(unit / strengths)
+    upper = np.concatenate([state.slack, slack + excess / strengths])
     norms = lengths(matrix)
     hessian = np.diag(np.repeat([1.0, 0.0], [k, f]))
     linear = np.concatenate([excess / unit, np.zeros(f)])
     qp = qpsolvers.Problem(hessian, linear, matrix / norms[:, None], upper / norms)
-    return Stage(qp, room.origin, basis, room.free, room.place, np.concatenate([room.row_ids, own]))
+
+    def exceeded(x: Array) -> NDArray[np.bool_]:
+        return np.concatenate([np.zeros(len(state.row_ids), dtype=bool), x[:k] + excess / unit > EXCEEDED])
+
+    ids = np.concatenate([state.row_ids, own])
+    return Stage(qp, state.origin, basis, state.free, state.place, ids, exceeded=exceeded)
 
 
 def damped_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
@@ -185,15 +200,15 @@ def slack_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
     return Stage(qp, np.zeros(m), basis, np.zeros((m, 0)), 0, np.arange(len(rows.upper)), as_it_stands=True)
 
 
-def _scaled_stage(room: Room, felt: Array, unfelt: Array, target: Array, unit: float, far: float) -> Stage:
+def _scaled_stage(state: FoldState, felt: Array, unfelt: Array, target: Array, unit: float, far: float) -> Stage:
     """Return min ½‖y - target / unit‖² with dθ = origin + unit felt y + unfelt z and all rows that can move."""
     costed = felt.shape[1]
-    basis = np.hstack([unit * felt, room.hierarchy.length * unfelt])
+    basis = np.hstack([unit * felt, state.hierarchy.length * unfelt])
     hessian = np.diag(np.repeat([1.0, 0.0], [costed, unfelt.shape[1]]))
     linear = np.concatenate([-target / unit, np.zeros(unfelt.shape[1])])
-    if not len(room.row_ids):
-        return Stage(qpsolvers.Problem(hessian, linear), room.origin, basis, unfelt, room.place, room.row_ids)
-    rows = room.rows @ basis
+    if not len(state.row_ids):
+        return Stage(qpsolvers.Problem(hessian, linear), state.origin, basis, unfelt, state.place, state.row_ids)
+    rows = state.rows @ basis
     norms = lengths(rows)
-    qp = qpsolvers.Problem(hessian, linear, rows / norms[:, None], np.minimum(room.slack / norms, far))
-    return Stage(qp, room.origin, basis, unfelt, room.place, room.row_ids)
+    qp = qpsolvers.Problem(hessian, linear, rows / norms[:, None], np.minimum(state.slack / norms, far))
+    return Stage(qp, state.origin, basis, unfelt, state.place, state.row_ids)

@@ -5,6 +5,7 @@ from enum import Enum
 
 from prioritized_ik.solvers.certificate import Certificate
 from prioritized_ik.solvers.conflict import Conflict
+from prioritized_ik.solvers.report import LevelReport
 from prioritized_ik.validation import Array
 
 
@@ -52,6 +53,8 @@ class JointStep:
         raw: the solver's own step `(m,)` before it was polished; None if there was none.
         repairs: how often the polish had to correct which rows the solver's step rests on.
         conflict: of an infeasible problem, the rows that contradict each other.
+        levels: how each `equal` level was cut to its rank, and what that left undone.
+        zeros: names of rows that were taken for zero, because they are rounding.
     """
 
     dtheta: Array | None
@@ -66,6 +69,22 @@ class JointStep:
     raw: Array | None = None
     repairs: int = 0
     conflict: Conflict | None = None
+    levels: tuple[LevelReport, ...] = ()
+    zeros: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """Return the step's story in a few lines."""
+        if self.dtheta is None:
+            return f"no step, {self.status.name}: {self.message or self.status.value}"
+        lines = [f"{self.status.name}: {self.certificate}", f"  errors by level: {', '.join(f'{c**0.5:.3g}' for c in self.costs)}"]
+        if self.tight_rows:
+            shown = ", ".join(self.tight_rows[:5])
+            more = f" and {len(self.tight_rows) - 5} more" if len(self.tight_rows) > 5 else ""
+            lines.append(f"  ends on {shown}{more}")
+        lines += [f"  {level}" for level in self.levels if level.undone]
+        if self.zeros:
+            lines.append(f"  taken for zero: {', '.join(self.zeros[:5])}{' …' if len(self.zeros) > 5 else ''}")
+        return "\n".join(lines)
 
     @property
     def found(self) -> bool:

@@ -19,13 +19,13 @@ from prioritized_ik.limits import contact_row_name
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
 from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.hierarchy import strict_solution
-from prioritized_ik.solvers.lexicographic import joint_step
+from prioritized_ik.solvers.lexicographic import get_solver, joint_step
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.validation import Array, read_only
 from prioritized_ik.winding.controller import Equilibrium, WindingController, levels_of
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
-FORMAT = "prioritized-ik episode 2"
+FORMAT = "prioritized-ik episode 3"
 
 Solve = Callable[[IKProblem, Array], JointStep]  # the problem, and the joint positions it was posed at
 
@@ -254,8 +254,8 @@ def replay(episode: Episode) -> Episode:
 def _solve_of(settings: WindingSettings) -> Solve:
     if settings.solver == CLOSED_FORM:
         return lambda problem, _: _closed_form_step(problem, settings.options.rank_tolerance)
-    backend = get_backend(settings.solver, settings.options.accuracy)
-    return lambda problem, _: joint_step(problem, backend, settings.options)
+    solver = get_solver(settings.solver, settings.options.accuracy)
+    return lambda problem, _: joint_step(problem, solver, settings.options)
 
 
 def _closed_form_step(problem: IKProblem, rank_tolerance: float) -> JointStep:

@@ -16,6 +16,7 @@ from prioritized_ik.models import (
     update_kinematics,
     winding_model,
 )
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.validation import Array, at_least, non_negative, one_of, positive
 from prioritized_ik.weights import KINDS
@@ -51,8 +52,8 @@ class WindingSettings:
         contact_gain: how much of the gap one step may close. At 1 the curvature of large steps lets links break through
             by 10 mm; at 0.5 they stay out.
         max_steps: an episode without equilibrium ends after this many.
-        solver: one of `known_solvers()`, or `"closed-form"`.
-        options: how to solve.
+        solver: `"active-set"`, one of `known_solvers()`, or `"closed-form"`.
+        options: how to solve; the rank is cut at 1e-4, see `closed_form.RANK_TOLERANCE`.
     """
 
     arm: Arm = field(default_factory=Arm)
@@ -77,7 +78,7 @@ class WindingSettings:
     contact_gain: float = 0.5
     max_steps: int = 1500
     solver: str = "daqp"
-    options: SolveOptions = field(default_factory=SolveOptions)
+    options: SolveOptions = SolveOptions(rank_tolerance=RANK_TOLERANCE)
 
     def __post_init__(self) -> None:
         one_of("direction", self.direction, DIRECTIONS)

@@ -4,7 +4,7 @@ From the top level down DAQP makes the rows of a level soft, minimises ½‖x - 
 moves the sides of the exceeded rows to where that left them, and makes them hard. An excess counts in rows of unit length,
 so the rows of a weighted level must be of one length, or the weights become others. Here they are unit vectors, of
 
-    x_k = N_k (dθ - start)  for `equal` level k, whose cost is ‖x_k - t_k‖² and no more (see `hierarchy.Task`),
+    x_k = N_k (dθ - start)  for `equal` level k, whose cost is ‖x_k - t_k‖² and no more (see `hierarchy.EqualBlock`),
     e_k                     for soft level k, its excesses, which are to be zero; its own rows, less e_k, are hard,
     z = Zᵀ(dθ - start)      along the directions Z that no `equal` level feels, for the reference,
 
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.protocol import SolverFailedError, StageResult
 from prioritized_ik.solvers.backends.qpsolvers_ import SOLVER_ERRORS
-from prioritized_ik.solvers.hierarchy import HARD, SETTLED_ROW, Hierarchy
+from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy
 from prioritized_ik.validation import Array
 
 SOLVED = (1, 2)  # exit flags: all rows kept; soft rows exceeded
@@ -69,8 +69,8 @@ class LevelRows:
         matrix, lower, upper = _hard_rows(hierarchy)
         parts = [(matrix @ basis, lower, upper)]
         pooled, slack = hierarchy.rows, hierarchy.rows.slack(hierarchy.start)
-        for number, task in enumerate(hierarchy.tasks):
-            if task is None:
+        for number, block in enumerate(hierarchy.blocks):
+            if block.is_soft:
                 own = pooled.level == number
                 matrix = pooled.matrix[own] @ basis
                 matrix[:, ends[number] : ends[number + 1]] = -np.diag(_unit(hierarchy, number) / pooled.strengths[own])
@@ -139,18 +139,19 @@ def _variables(hierarchy: Hierarchy) -> tuple[Array, Array, NDArray[np.int_]]:
     """Return how the step moves with the variables `(m, v)`, their targets `(v,)`, and where each level's begin."""
     start = hierarchy.start
     columns, targets = [], []
-    for number, task in enumerate(hierarchy.tasks):
+    for number, block in enumerate(hierarchy.blocks):
         unit = _unit(hierarchy, number)
-        if task is None:
+        if not isinstance(block, EqualBlock):
             count = int(np.count_nonzero(hierarchy.rows.level == number))
             columns.append(np.zeros((len(start), count)))
             targets.append(np.zeros(count))
         else:
-            moves = task.inverse
-            for lower in hierarchy.tasks[number + 1 :]:  # which stay where they are
-                moves = moves if lower is None else moves - lower.inverse @ (lower.matrix @ moves)
+            moves = block.inverse
+            for lower in hierarchy.blocks[number + 1 :]:  # which stay where they are
+                if isinstance(lower, EqualBlock):
+                    moves = moves - lower.inverse @ (lower.matrix @ moves)
             columns.append(unit * moves)
-            targets.append(task.missing(start) / unit)
+            targets.append(block.missing(start) / unit)
     unit = REST_UNIT * hierarchy.length
     columns.append(unit * hierarchy.rest)
     targets.append(hierarchy.rest.T @ (hierarchy.problem.reference - start) / unit)
@@ -159,9 +160,9 @@ def _variables(hierarchy: Hierarchy) -> tuple[Array, Array, NDArray[np.int_]]:
 
 def _unit(hierarchy: Hierarchy, number: int) -> float:
     """Return in what a level's variables are counted: its own size, as in `stages`."""
-    task = hierarchy.tasks[number]
-    if task is not None:
-        sizes = [task.missing(hierarchy.start), task.target]
+    block = hierarchy.blocks[number]
+    if isinstance(block, EqualBlock):
+        sizes = [block.missing(hierarchy.start), block.target]
     else:
         rows = hierarchy.rows
         own, excess = rows.level == number, np.minimum(rows.slack(hierarchy.start), 0.0)
@@ -179,5 +180,5 @@ def _hard_rows(hierarchy: Hierarchy) -> tuple[Array, Array, Array]:
     first, second = np.cumsum(above)[both] - 1, np.count_nonzero(above) + np.cumsum(below)[both] - 1
     lower[first], kept[second] = -upper[second], False
     numbers = np.flatnonzero(kept)
-    numbers = numbers[rows.reach(numbers, hierarchy.free) > SETTLED_ROW]
+    numbers = numbers[rows.reach(numbers, hierarchy.free) > hierarchy.settled]
     return rows.matrix[numbers], lower[numbers], upper[numbers]

@@ -1,0 +1,179 @@
+"""The kernel: from a guess of the active rows to the lexicographic optimum, whoever made the guess.
+
+Which rows an optimum rests on says on which face of the feasible set it lies. On a face the problem has equalities only and
+the strict closed form gives its solution to rounding. If that step breaks a row, or the certificate finds a row that holds
+a level the wrong way round, the set is corrected: a primal active-set method, started next to its end. Guesses come from
+the last step, from a QP solver's answer, or from `stagewise.py`, which starts from nothing.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from prioritized_ik.solvers.certificate import Proof
+from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
+from prioritized_ik.solvers.subspaces import Range
+from prioritized_ik.tolerances import CERTIFIED, DEPENDENT, DRIFT, GUESS, ITERATIONS, KEPT
+from prioritized_ik.validation import Array, lengths
+
+Active = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What the active-set method reached.
+
+    Attributes:
+        u: the optimum `(m,)`, in the joint metric; where it is to start if none was found.
+        proof: of that.
+        active: the rows that it rests on `(r,)`.
+        iterations: how often the set was corrected.
+        converged: whether the optimum was found; if not, even a start whose certificate holds is the guess's, not the one
+            that all guesses share.
+        trace: what was done in turn: "add" or "drop", and the names of the rows.
+    """
+
+    u: Array
+    proof: Proof
+    active: Active
+    iterations: int
+    converged: bool
+    trace: tuple[tuple[str, tuple[str, ...]], ...] = field(default=(), repr=False)
+
+
+def guessed(hierarchy: Hierarchy, u: Array) -> Active:
+    """Return the rows `(r,)` that a step `(m,)` seems to rest on."""
+    return hierarchy.rows.slack(u) <= GUESS * hierarchy.scale(u)
+
+
+def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
+    """Return the optimum that the `active` rows `(r,)` lead to, moving from `origin` `(m,)`.
+
+    No set is visited twice: where the rule would return to one, the next best row is dropped.
+    """
+    rows, u, visited = hierarchy.rows, origin, set[bytes]()
+    trace: list[tuple[str, tuple[str, ...]]] = []
+
+    def note(what: str, changed: Active) -> None:
+        trace.append((what, tuple(rows.names[i] for i in np.flatnonzero(changed))))
+
+    for iterations in range(ITERATIONS):
+        visited.add(active.tobytes())
+        target = face_solution(hierarchy, active)
+        room = rows.slack(u)
+        rate = room - rows.slack(target)
+        blocking = ~active & (rate > room + KEPT * hierarchy.scale(target))
+        if blocking.any():
+            # Ratio test: how far towards the target each blocking row lets go.
+            reach = np.where(blocking, np.maximum(room, 0.0), np.inf) / np.where(blocking, rate, 1.0)
+            first = float(reach.min())
+            u = u + first * (target - u)
+            note("add", reach <= first)
+            active = active | (reach <= first)
+            if active.tobytes() in visited:
+                break
+            continue
+        u = target
+        proof = Proof(hierarchy, u)
+        if proof.certificate.holds:
+            u, proof, active = _from_all_tight_rows(hierarchy, u, proof, active)
+            return Solution(u, proof, active, iterations, converged=True, trace=tuple(trace))
+        following = next((new for new in _corrected(proof, active) if new.tobytes() not in visited), None)
+        if following is None:
+            break
+        note("drop", active & ~following)
+        active = following
+    proof = Proof(hierarchy, origin)
+    return Solution(origin, proof, proof.ends_on, len(trace), converged=False, trace=tuple(trace))
+
+
+def face_solution(hierarchy: Hierarchy, active: Active) -> Array:
+    """Return the strict closed form `(m,)` of all levels on the face where the `active` pooled rows `(r,)` hold.
+
+    Active hard rows hold as equalities; those of a soft level are least squares at that level.
+    """
+    u = _face_solution(hierarchy, active, hierarchy.start)
+    # What a row gets from directions too weak to count is taken from the first solution.
+    drifted = np.abs(hierarchy.rows.drift[active] @ (u - hierarchy.start)).max(initial=0.0)
+    return _face_solution(hierarchy, active, u) if drifted > DRIFT * hierarchy.scale(u) else u
+
+
+def _face_solution(hierarchy: Hierarchy, active: Active, drifted: Array) -> Array:
+    rows, free = hierarchy.rows, hierarchy.free
+    u, upper = hierarchy.start, rows.upper - rows.drift @ drifted
+    hard = active & (rows.level == HARD)
+    to_hold, sides = rows.matrix[hard], upper[hard]
+    for block in hierarchy.blocks:
+        felt, wanted = block.wanted(rows, upper, active, u, free)
+        move, combined = _held(hierarchy, free, felt, wanted, to_hold, sides - to_hold @ u)
+        u = u + felt.felt @ move
+        to_hold, sides, free = combined.T @ to_hold, combined.T @ sides, felt.unfelt
+    wanted = free.T @ (hierarchy.problem.reference - u)
+    move, _ = _held(hierarchy, free, Range(free, free[:, :0], None), wanted, to_hold, sides - to_hold @ u)
+    return u + free @ move
+
+
+def _held(
+    hierarchy: Hierarchy, free: Array, felt: Range, wanted: Array, to_hold: Array, gaps: Array
+) -> tuple[Array, Array]:
+    """Return the move y `(r,)` nearest to `wanted` that lets rows be held, and what of them the levels below must hold.
+
+    Combinations of rows that the levels below cannot move are this level's to hold; the others are left to them.
+
+    Args:
+        hierarchy: knows what is rounding.
+        free: the directions left to the level `(m, f)`.
+        felt: what it feels of them.
+        wanted: its optimum without rows `(r,)`.
+        to_hold: rows `(t, m)`.
+        gaps: by how much each is to change `(t,)`.
+
+    Returns:
+        y, and the combinations `(t, k)` of the rows that are left to the levels below, orthonormal.
+    """
+    below = to_hold @ felt.unfelt
+    combinations, k = np.eye(len(to_hold)), 0
+    if below.size:
+        combinations, triangle, _ = scipy.linalg.qr(below, pivoting=True, check_finite=False)
+        k = int(np.count_nonzero(np.abs(np.diag(triangle)) > hierarchy.settled))
+    mine = combinations[:, k:].T
+    mine = mine[lengths(mine @ (to_hold @ free)) > DEPENDENT]  # the rest copies other rows
+    if not len(mine):
+        return wanted, combinations[:, :k]
+    normals = mine @ (to_hold @ felt.felt)
+    sizes = lengths(normals)
+    sizes[sizes == 0.0] = 1.0
+    normals, sides = normals / sizes[:, None], mine @ gaps / sizes
+    inverse = np.linalg.pinv(normals, rcond=DEPENDENT)
+    move = wanted + inverse @ (sides - normals @ wanted)
+    # Once more: the first time leaves the rounding of `wanted`, which can be large against the move.
+    return move + inverse @ (sides - normals @ move), combinations[:, :k]
+
+
+def _from_all_tight_rows(hierarchy: Hierarchy, u: Array, proof: Proof, active: Active) -> tuple[Array, Proof, Active]:
+    """Return the optimum computed from every row that it ends on, its proof, and these rows.
+
+    A guess may lack rows without a multiplier: it leads to the same step, but not to the same bits.
+    """
+    if (proof.ends_on == active).all():
+        return u, proof, active
+    same = face_solution(hierarchy, proof.ends_on)
+    again = Proof(hierarchy, same)
+    return (same, again, proof.ends_on) if again.certificate.holds else (u, proof, active)
+
+
+def _corrected(proof: Proof, active: Active) -> Iterator[Active]:
+    """Yield the sets to try in place of `active`: without rows that the face cannot hold, else without one that pulls."""
+    loose = active & (proof.slack > CERTIFIED * proof.scale)
+    if loose.any():
+        yield active & ~loose
+    for level in proof.levels:
+        if level.fails:
+            for worst in level.pulls(active & proof.near):
+                following = active.copy()
+                following[worst] = False
+                yield following
+            return
