@@ -67,7 +67,7 @@ class MinkSolver:
             dtheta if kept else None,
             status if kept else StepStatus.VIOLATED,
             costs=(level.cost(dtheta),),
-            tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * length(dtheta)),
+            tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * float(np.linalg.norm(dtheta))),
             violation=certificate.violation,
             timings=timings,
             calls=1,

@@ -180,9 +180,7 @@ def solver_of(solver: str, formulation: Formulation, winding: str) -> Solve:
     if formulation.name == "mink":
         return MinkSolver(recorded(winding).settings, solver)
     damping = formulation.damping if formulation.name in ONE_QP else None
-    options = SolveOptions(
-        formulation.name, rank_tolerance=RANK_TOLERANCE, damping=damping, closed_form_first=False
-    )
+    options = SolveOptions(formulation.name, rank_tolerance=RANK_TOLERANCE, damping=damping, closed_form_first=False)
     backend = get_backend(solver)
     if formulation.accurate:
         assert isinstance(backend, QpsolversBackend)  # the others have only the lexicographic formulation

@@ -12,7 +12,12 @@ from paper_repro.windings import settings
 from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.backends.registry import get_backend
-from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, minimum_norm_solution, rank_decomposition_svd, weighted_optimum
+from prioritized_ik.solvers.closed_form import (
+    RANK_TOLERANCE,
+    minimum_norm_solution,
+    rank_decomposition_svd,
+    weighted_optimum,
+)
 from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
 from prioritized_ik.validation import Array

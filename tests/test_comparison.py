@@ -29,7 +29,7 @@ from prioritized_ik.cli import main
 from prioritized_ik.errors import InputError
 from prioritized_ik.solvers.backends import registry
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.lexicographic import FREE
+from prioritized_ik.tolerances import FREE
 from prioritized_ik.winding.episode import Episode, wind
 from prioritized_ik.winding.settings import WindingSettings
 

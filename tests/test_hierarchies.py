@@ -30,7 +30,7 @@ from winding_fixtures import QP_ONLY
 from prioritized_ik.errors import WitnessError
 from prioritized_ik.problem import IKProblem, Level, step_scale
 from prioritized_ik.solvers.backends.registry import get_backend
-from prioritized_ik.solvers.certificate import CERTIFIED
+from prioritized_ik.tolerances import CERTIFIED
 from prioritized_ik.solvers.lexicographic import AnyBackend, joint_step
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.solvers.witness import witness_step

@@ -37,7 +37,7 @@ def hierarchy_of(seed: int) -> Hierarchy:
 
 
 def tasks_of(hierarchy: Hierarchy) -> list[tuple[Level, Task]]:
-    pairs = zip(hierarchy.problem.levels, hierarchy.tasks, strict=True)
+    pairs = zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)
     return [(level, task) for level, task in pairs if task is not None]
 
 
@@ -77,7 +77,7 @@ def test_no_level_feels_a_direction_that_belongs_to_one_below(seed):
 def test_a_level_has_what_the_one_above_leaves(seed):
     hierarchy = hierarchy_of(seed)
     free = hierarchy.free
-    for task in hierarchy.tasks:
+    for task in hierarchy.blocks:
         if task is not None:
             assert task.free is free
             assert task.felt.shape[1] + task.below.shape[1] == free.shape[1]
@@ -134,14 +134,14 @@ def test_a_block_of_other_weights_has_another_cost():
     rng = np.random.default_rng(3)
     level = random_level(rng, 4, 6)
     other = Level(level.matrix, level.target, level.weights * [1.0 + SABOTAGE, 1.0, 1.0, 1.0])
-    (task,) = Hierarchy(IKProblem([level])).tasks
+    (task,) = Hierarchy(IKProblem([level])).blocks
     assert np.abs(cost_gaps(level, task, 0)).max() <= ROUNDING
     assert np.abs(cost_gaps(other, task, 0)).max() > 1e3 * ROUNDING
 
 
 def test_what_a_block_misses_is_what_is_left_of_its_target():
     level = Level([[2.0, 0.0, 0.0], [0.0, 3.0, 0.0]], [4.0, 6.0], [1.0, 9.0])
-    (task,) = Hierarchy(IKProblem([level])).tasks
+    (task,) = Hierarchy(IKProblem([level])).blocks
     assert np.linalg.norm(task.missing(np.zeros(3))) == pytest.approx(np.hypot(4.0, 18.0), rel=1e-15)
     assert np.linalg.norm(task.missing(np.array([2.0, 1.0, 7.0]))) == pytest.approx(9.0, rel=1e-15)
     assert task.missing(np.array([2.0, 2.0, 7.0])) == pytest.approx([0.0, 0.0], abs=ROUNDING)
@@ -150,7 +150,7 @@ def test_what_a_block_misses_is_what_is_left_of_its_target():
 
 def test_a_target_out_of_reach_does_not_make_a_block_miss_anything_but_counts_as_demand():
     level = Level([[1.0, 0.0], [1.0, 0.0]], [1.0, -1.0])
-    (task,) = Hierarchy(IKProblem([level])).tasks
+    (task,) = Hierarchy(IKProblem([level])).blocks
     assert task.missing(np.zeros(2)) == pytest.approx([0.0], abs=ROUNDING)
     assert task.demand == pytest.approx(np.sqrt(2.0), rel=1e-15)
     assert task.size(10.0) >= task.demand
@@ -158,7 +158,7 @@ def test_a_target_out_of_reach_does_not_make_a_block_miss_anything_but_counts_as
 
 def test_a_level_that_the_levels_above_settle_has_an_empty_block():
     levels = [Level(np.eye(3)[:2], [1.0, 2.0]), Level([[1.0, 1.0, 0.0]], [9.0]), Level(np.zeros((2, 3)), [1.0, 1.0])]
-    _, settled, blind = Hierarchy(IKProblem(levels)).tasks
+    _, settled, blind = Hierarchy(IKProblem(levels)).blocks
     for task in (settled, blind):
         assert task.felt.shape == (3, 0)
         assert task.matrix.shape == (0, 3)
@@ -169,8 +169,8 @@ def test_a_level_that_the_levels_above_settle_has_an_empty_block():
 def test_soft_levels_have_no_block_and_take_no_direction():
     levels = [Level(np.eye(3), np.ones(3), kind="at_most"), Level([[1.0, 0.0, 0.0]], [1.0])]
     hierarchy = Hierarchy(IKProblem(levels))
-    assert hierarchy.tasks[0] is None
-    assert hierarchy.tasks[1].free.shape == (3, 3)
+    assert hierarchy.blocks[0] is None
+    assert hierarchy.blocks[1].free.shape == (3, 3)
     assert hierarchy.rest.shape == (3, 2)
 
 
@@ -189,7 +189,7 @@ def test_inequalities_take_no_part_in_the_cut():
 @pytest.mark.parametrize("weights", [[1.0, 1.0], [1e12, 1.0], [1.0, 1e12], [1e-12, 1.0], [1.0, 1e-12]])
 def test_the_rank_of_a_level_is_that_of_its_matrix_whatever_its_weights(weights):
     for small, rank in ((1e-3, 2), (1e-5, 1)):
-        (task,) = Hierarchy(IKProblem([Level(np.diag([1.0, small]), [1.0, 1.0], weights)]), 1e-4).tasks
+        (task,) = Hierarchy(IKProblem([Level(np.diag([1.0, small]), [1.0, 1.0], weights)]), 1e-4).blocks
         assert task.felt.shape[1] == rank
 
 
@@ -198,7 +198,7 @@ def test_the_directions_of_all_levels_are_the_same_whatever_the_weights(seed):
     rng = np.random.default_rng(seed)
     levels = [Level(rng.normal(size=(4, 2)) @ rng.normal(size=(2, 8)), rng.normal(size=4)) for _ in range(3)]
     weighted = [Level(level.matrix, level.target, 10.0 ** rng.uniform(-3.0, 3.0, 4)) for level in levels]
-    for one, other in zip(Hierarchy(IKProblem(levels)).tasks, Hierarchy(IKProblem(weighted)).tasks, strict=True):
+    for one, other in zip(Hierarchy(IKProblem(levels)).blocks, Hierarchy(IKProblem(weighted)).blocks, strict=True):
         assert one.felt.shape == (8, 2)
         assert one.felt @ one.felt.T == pytest.approx(other.felt @ other.felt.T, abs=ROUNDING)
 
@@ -206,7 +206,7 @@ def test_the_directions_of_all_levels_are_the_same_whatever_the_weights(seed):
 def test_a_lower_level_counts_its_rank_against_all_that_its_matrix_can_do():
     above = Level([[1.0, 0.0]], [1.0])
     for slope, rank in ((1e-3, 1), (1e-5, 0)):
-        task = Hierarchy(IKProblem([above, Level([[1.0, slope]], [1.0])]), 1e-4).tasks[1]
+        task = Hierarchy(IKProblem([above, Level([[1.0, slope]], [1.0])]), 1e-4).blocks[1]
         assert task.felt.shape[1] == rank
 
 
@@ -342,7 +342,7 @@ def test_the_cut_problem_has_the_same_optimum_without_a_rank_tolerance() -> None
     cut = hierarchy.cut_problem
     assert norm_error(Hierarchy(problem, 1e-9).closed_form, hierarchy.closed_form) > SABOTAGE  # it matters
     assert norm_error(Hierarchy(cut, 1e-9).closed_form, hierarchy.closed_form) <= ORACLE
-    for level, task in zip(cut.levels, hierarchy.tasks, strict=True):
+    for level, task in zip(cut.levels, hierarchy.blocks, strict=True):
         assert task is None or np.abs(level.matrix @ task.below).max() <= ROUNDING
     assert cut.levels[2] is problem.levels[2]
     assert cut.bounds is problem.bounds

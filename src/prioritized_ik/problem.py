@@ -18,7 +18,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.tolerances import NOISE
-from prioritized_ik.validation import Array, finite_array, fraction, length, lengths, non_negative, one_of, read_only, shaped_array
+from prioritized_ik.validation import (
+    Array,
+    finite_array,
+    fraction,
+    length,
+    lengths,
+    non_negative,
+    one_of,
+    read_only,
+    shaped_array,
+)
 
 #: `equal` is least squares of A dθ = b; `at_most` of what A dθ <= b leaves violated.
 KINDS = ("equal", "at_most")
@@ -241,7 +251,9 @@ class IKProblem:
         widths |= {} if equalities is None else {"equalities": equalities.matrix.shape[1]}
         widths |= {"reference": np.size(reference)} if reference is not None and not widths else {}
         if not widths:
-            raise InputError("the problem has neither levels nor bounds, rows, equalities or reference: no number of joints.")
+            raise InputError(
+                "the problem has neither levels nor bounds, rows, equalities or reference: no number of joints."
+            )
         m = next(iter(widths.values()))
         for name, width in widths.items():
             if width != m:

@@ -41,7 +41,7 @@ UNDECIDED = 1e-4
 #: terms is noise: sixty products of two doubles each.
 ROUNDING = 64 * EPS
 
-#: [–] A direction without cost counts as felt this much weaker than the level's strongest, so that a descent along it shows.
+#: [–] A direction without cost counts as felt this much weaker than the level's strongest, so that descents along it show.
 UNFELT = 1e-2
 
 #: [–] A multiplier below this fraction of a level's terms is none.

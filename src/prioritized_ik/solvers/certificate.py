@@ -32,7 +32,6 @@ from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
 from prioritized_ik.tolerances import CERTIFIED, GAP, NOTHING, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, finite_array, fraction, length, lengths
 
-
 IMPROVEMENTS = 4  # of a combination in extended precision; each gains as many digits as the rows leave
 
 
@@ -237,9 +236,7 @@ class Proof:
         last = Shortfall(Range(free, free[:, :0], None), free.T @ (u - reference), terms, size, 0.0)
         yield self._proof("last level", last, free, near)
 
-    def _proof(
-        self, name: str, shortfall: Shortfall, free: Array, near: NDArray[np.int_]
-    ) -> LevelProof:
+    def _proof(self, name: str, shortfall: Shortfall, free: Array, near: NDArray[np.int_]) -> LevelProof:
         """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back."""
         rows, felt = self._hierarchy.rows, shortfall.felt
         felt_lengths = lengths(felt.felt.T)

@@ -44,7 +44,9 @@ class Conflict:
         """What is wrong and what to do about it."""
         names = ", ".join(repr(name) for name in self.names)
         if self.excess == float("inf"):
-            return f"{names} is moved by no joint, its coefficients are rounding, and is broken by every step; leave it out."
+            return (
+                f"{names} is moved by no joint, its coefficients are rounding, and is broken by every step; leave it out."
+            )
         return (
             f"no step keeps all of {names}: at best one is broken by {self.excess:.3g} rad, as a joint distance. "
             f"Widen each by that much, drop one, or make them soft with problem.softened({list(self.names)!r})."

@@ -9,7 +9,7 @@ directions stays as calm as the damping makes it, and every motion that does not
 from collections.abc import Callable
 from dataclasses import replace
 
-from prioritized_ik.problem import IKProblem, replaced
+from prioritized_ik.problem import IKProblem, Level, replaced
 from prioritized_ik.solvers.step import JointStep
 
 
@@ -20,7 +20,7 @@ def handed_down(problem: IKProblem, solve: Callable[[IKProblem], JointStep]) -> 
         problem: with any damped levels.
         solve: returns the step of a problem whose damping is all rows.
     """
-    levels = []
+    levels: list[Level] = []
     for level in problem.levels:
         if level.damping and level.below == "free":
             step = solve(problem.with_levels((*levels, replaced(level, below="hold"))))

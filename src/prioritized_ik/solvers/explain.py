@@ -40,7 +40,9 @@ class Concession:
 
     def __str__(self) -> str:
         """Return one line for people."""
-        cut = f"; {self.undone:.3g} of it left undone along directions that were cut" if self.undone > self.tolerance else ""
+        cut = (
+            f"; {self.undone:.3g} of it left undone along directions that were cut" if self.undone > self.tolerance else ""
+        )
         if not self.gave_way:
             return f"{self.level}: error {self.error:.3g}{cut or ', as if it were alone'}"
         to_levels, to_rows = self.below_others - self.alone, self.error - self.below_others

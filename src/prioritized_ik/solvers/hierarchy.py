@@ -99,7 +99,9 @@ class EqualBlock:
             return Range(self.inverse, self.below, None)
         return range_of(self.felt, self.root, free, max(self.settled, DEPENDENT))
 
-    def wanted(self, rows: "PooledRows", upper: Array, active: NDArray[np.bool_], u: Array, free: Array) -> tuple[Range, Array]:
+    def wanted(
+        self, rows: "PooledRows", upper: Array, active: NDArray[np.bool_], u: Array, free: Array
+    ) -> tuple[Range, Array]:
         """Return the level's range within `free`, and the move in it `(r,)` that is its optimum from `u`."""
         felt = self.within(free)
         return felt, felt.project(self.missing(u))
@@ -128,7 +130,9 @@ class SoftBlock:
 
     is_soft: ClassVar[bool] = True
 
-    def wanted(self, rows: "PooledRows", upper: Array, active: NDArray[np.bool_], u: Array, free: Array) -> tuple[Range, Array]:
+    def wanted(
+        self, rows: "PooledRows", upper: Array, active: NDArray[np.bool_], u: Array, free: Array
+    ) -> tuple[Range, Array]:
         """Return the range of the level's active rows within `free`, and the move in it `(r,)` to their least squares."""
         own = active & (rows.level == self.number)
         felt = rows.within(own, free)
@@ -308,7 +312,11 @@ def _without(matrix: Array, directions: Array) -> Array:
 def impossible_rows(problem: IKProblem, allowed: float) -> tuple[str, ...]:
     """Return the names of hard rows of a problem in its metric that are rounding, and broken by more than `allowed`."""
     zero, hard, fixed = problem.zero_length, problem.inequalities, problem.equalities
-    broken = [n for n, size, side in zip(hard.names, problem.row_lengths, hard.upper, strict=True) if size <= zero and side < -allowed]
+    broken = [
+        n
+        for n, size, side in zip(hard.names, problem.row_lengths, hard.upper, strict=True)
+        if size <= zero and side < -allowed
+    ]
     sides = zip(fixed.names, problem.equality_lengths, fixed.target, strict=True)
     return (*broken, *(name for name, size, side in sides if size <= zero and abs(side) > allowed))
 

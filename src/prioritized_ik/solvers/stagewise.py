@@ -77,7 +77,7 @@ def solve_stage(stage: Stage) -> tuple[Array, Array] | None:
 
 
 def _feasible(rows: Array, upper: Array) -> Array | None:
-    """Return x `(v,)` that keeps rows of unit length `(n, v)`, or None: min ½‖w‖² with w the excesses of those broken at 0."""
+    """Return x `(v,)` that keeps rows of unit length `(n, v)`, or None: min ½‖w‖², w by how much those broken at 0 are."""
     v = rows.shape[1]
     x = np.zeros(v)
     for _ in range(3):  # what is left by rounding is made good once more
@@ -100,7 +100,7 @@ def _feasible(rows: Array, upper: Array) -> Array | None:
 
 
 def _primal_active_set(rows: Array, upper: Array, target: Array, start: Array) -> tuple[Array, Array] | None:
-    """Return the x `(v,)` that minimises ½‖x[:r] - target‖² with `rows` `(n, v)` @ x <= `upper`, and the multipliers `(n,)`.
+    """Return x `(v,)`, the least ½‖x[:r] - target‖² with `rows` `(n, v)` @ x <= `upper`, and the multipliers `(n,)`.
 
     Args:
         rows: of unit length.
@@ -146,5 +146,3 @@ def _minimum_norm(matrix: Array, target: Array) -> Array:
     if not matrix.size:
         return np.zeros(matrix.shape[1])
     return scipy.linalg.lstsq(matrix, target, cond=DEPENDENT, lapack_driver="gelsy", check_finite=False)[0]
-
-

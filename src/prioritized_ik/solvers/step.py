@@ -76,7 +76,10 @@ class JointStep:
         """Return the step's story in a few lines."""
         if self.dtheta is None:
             return f"no step, {self.status.name}: {self.message or self.status.value}"
-        lines = [f"{self.status.name}: {self.certificate}", f"  errors by level: {', '.join(f'{c**0.5:.3g}' for c in self.costs)}"]
+        lines = [
+            f"{self.status.name}: {self.certificate}",
+            f"  errors by level: {', '.join(f'{c**0.5:.3g}' for c in self.costs)}",
+        ]
         if self.tight_rows:
             shown = ", ".join(self.tight_rows[:5])
             more = f" and {len(self.tight_rows) - 5} more" if len(self.tight_rows) > 5 else ""

@@ -17,7 +17,6 @@ from prioritized_ik.errors import EpisodeFileError, InputError
 from prioritized_ik.files import UNREADABLE, write_whole
 from prioritized_ik.limits import contact_row_name
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
-from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.solvers.lexicographic import get_solver, joint_step
 from prioritized_ik.solvers.step import JointStep, StepStatus

@@ -78,7 +78,7 @@ class WindingSettings:
     contact_gain: float = 0.5
     max_steps: int = 1500
     solver: str = "daqp"
-    options: SolveOptions = SolveOptions(rank_tolerance=RANK_TOLERANCE)
+    options: SolveOptions = field(default_factory=lambda: SolveOptions(rank_tolerance=RANK_TOLERANCE))
 
     def __post_init__(self) -> None:
         one_of("direction", self.direction, DIRECTIONS)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hierarchies import EVERYTHING, KnownHierarchy, random_hierarchy, solution_on
+from prioritized_ik.solvers.polish import GUESS, Polished, face_solution, polish
 from tolerances import ORACLE, ROUNDING
 from winding_fixtures import constrained_steps, free_steps
 
@@ -12,7 +13,6 @@ from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers import polish as polish_module
 from prioritized_ik.solvers.certificate import CERTIFIED, Proof, certify
 from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
-from prioritized_ik.solvers.polish import GUESS, Polished, face_solution, polish
 
 CUT = 1e-7  # the planted problems' rank tolerance
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import scipy.optimize
+from prioritized_ik.solvers.subspaces import directions_left, nonnegative_least_squares
 from tolerances import ROUNDING
 
-from prioritized_ik.solvers import cones
-from prioritized_ik.solvers.cones import directions_left, nonnegative_least_squares
+from prioritized_ik.solvers import subspaces
 from prioritized_ik.solvers.hierarchy import SETTLED_ROW
 
 NARROW = 1e-9  # what the certificate asks with
