@@ -21,6 +21,9 @@ from prioritized_ik.validation import Array, lengths
 
 Active = NDArray[np.bool_]
 
+REFINEMENTS = 3  # of a step that is off by rounding
+REFINABLE = 1e-2  # of the step: what is off by more is not off by rounding
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -63,6 +66,8 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
     for iterations in range(ITERATIONS):
         visited.add(active.tobytes())
         target = face_solution(hierarchy, active)
+        if not np.isfinite(target).all():
+            break
         room = rows.slack(u)
         rate = room - rows.slack(target)
         blocking = ~active & (rate > room + KEPT * hierarchy.scale(target))
@@ -81,6 +86,9 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
         if proof.certificate.holds:
             u, proof, active = _from_all_tight_rows(hierarchy, u, proof, active)
             return Solution(u, proof, active, iterations, converged=True, trace=tuple(trace))
+        refined = _refined(hierarchy, u, proof)
+        if refined is not None:
+            return Solution(*refined, active, iterations, converged=True, trace=tuple(trace))
         following = next((new for new in _corrected(proof, active) if new.tobytes() not in visited), None)
         if following is None:
             break
@@ -163,6 +171,22 @@ def _from_all_tight_rows(hierarchy: Hierarchy, u: Array, proof: Proof, active: A
     same = face_solution(hierarchy, proof.ends_on)
     again = Proof(hierarchy, same)
     return (same, again, proof.ends_on) if again.certificate.holds else (u, proof, active)
+
+
+def _refined(hierarchy: Hierarchy, u: Array, proof: Proof) -> tuple[Array, Proof] | None:
+    """Return a step that rounding alone kept from being proven, and its proof; None if that is not what it lacked.
+
+    Where a level is ill-conditioned the proof sees, in extended precision, by how much the step is off.
+    """
+    for _ in range(REFINEMENTS):
+        failing = next((level for level in proof.levels if level.excess > CERTIFIED * proof.scale), None)
+        if failing is None or failing.excess > REFINABLE * proof.scale:
+            return None
+        u = u + failing.displacement
+        proof = Proof(hierarchy, u)
+        if proof.certificate.holds:
+            return u, proof
+    return None
 
 
 def _corrected(proof: Proof, active: Active) -> Iterator[Active]:

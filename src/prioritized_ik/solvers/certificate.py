@@ -26,7 +26,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from prioritized_ik.problem import IKProblem
+from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.hierarchy import HARD, Hierarchy, Shortfall
 from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
 from prioritized_ik.tolerances import CERTIFIED, GAP, NOTHING, ROUNDING, UNDECIDED, UNFELT
@@ -222,7 +222,7 @@ class Proof:
         free, near = hierarchy.free, np.flatnonzero(self.near & (rows.level == HARD))
         for number, (level, block) in enumerate(zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)):
             shortfall = block.shortfall(rows, self.slack, self.exceeded, u, free)
-            yield self._proof(level.name, shortfall, free, near)
+            yield self._proof(level.name, shortfall, free, near, None if level.is_soft else level)
             if block.is_soft:
                 # None may be exceeded by more than it is, and none by less without costing the level: they hold.
                 own = self.exceeded & (rows.level == number)
@@ -236,8 +236,13 @@ class Proof:
         last = Shortfall(Range(free, free[:, :0], None), free.T @ (u - reference), terms, size, 0.0)
         yield self._proof("last level", last, free, near)
 
-    def _proof(self, name: str, shortfall: Shortfall, free: Array, near: NDArray[np.int_]) -> LevelProof:
-        """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back."""
+    def _proof(
+        self, name: str, shortfall: Shortfall, free: Array, near: NDArray[np.int_], level: Level | None = None
+    ) -> LevelProof:
+        """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back.
+
+        An `equal` level's own rows are there for a second look.
+        """
         rows, felt = self._hierarchy.rows, shortfall.felt
         felt_lengths = lengths(felt.felt.T)
         unfelt_lengths = np.full(felt.unfelt.shape[1], min(felt_lengths, default=1.0) / UNFELT)
@@ -245,13 +250,16 @@ class Proof:
         gradient = np.concatenate([shortfall.gradient, np.zeros_like(unfelt_lengths)])
         size, leak = length(shortfall.terms), shortfall.leak
         felt_terms = shortfall.terms + leak * max(felt_lengths, default=0.0)
-        terms = np.concatenate([felt_terms, size / UNFELT + leak * unfelt_lengths])
+        terms = np.concatenate([felt_terms, leak * unfelt_lengths])  # what a level does not feel is zero, not rounding
         near = near[rows.reach(near, free) > self._hierarchy.settled]
         held = np.isfinite(self._leak[near])  # by a level above: of either sign here
         all_lengths = np.concatenate([felt_lengths, unfelt_lengths])
         for extended in (False, True):
+            blur = ROUNDING * terms
+            if extended and level is not None:
+                gradient, blur = _exact_gradient(level, felt.felt, self._u, len(gradient), blur)
             balance = _balanced(rows.matrix[near], basis, gradient, held, extended=extended)
-            rounding = ROUNDING * terms + balance.rounding
+            rounding = blur + balance.rounding
             explained = float(np.linalg.norm(all_lengths * rounding))
             beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
             displacement = -(basis @ beyond)
@@ -284,6 +292,24 @@ class Proof:
             self.scale,
             self.tolerance,
         )
+
+
+def _exact_gradient(level: Level, felt: Array, u: Array, size: int, blur: Array) -> tuple[Array, Array]:
+    """Return feltᵀ AᵀW(A u - b) `(size,)`, zero beyond what is felt, in extended precision, and its rounding.
+
+    Where a level's strong rows are far from what they ask for, rounding of the change of coordinates lets a share of that
+    through to its weak directions. Here the rows are taken as they are given.
+    """
+    long = np.longdouble
+    matrix, weights = level.matrix.astype(long), level.weights.astype(long)
+    residual = matrix @ u.astype(long) - level.target.astype(long)
+    gradient = np.zeros(size)
+    gradient[: felt.shape[1]] = ((matrix @ felt.astype(long)).T @ (weights * residual)).astype(float)
+    sizes = np.abs(level.matrix) @ np.abs(u) + np.abs(level.target)
+    blur = blur.copy()
+    ratio = float(np.finfo(long).eps / np.finfo(float).eps)
+    blur[: felt.shape[1]] = ROUNDING * ratio * (np.abs(level.matrix @ felt).T @ (level.weights * sizes))
+    return gradient, blur
 
 
 @dataclass(frozen=True)

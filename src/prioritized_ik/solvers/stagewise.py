@@ -84,7 +84,7 @@ def _feasible(rows: Array, upper: Array) -> Array | None:
         slack = upper - rows @ x
         broken = np.flatnonzero(slack < 0.0)
         unit = float(-slack.min(initial=0.0))
-        if not len(broken) or unit <= FEASIBLE * max(1.0, float(np.abs(upper).max())):
+        if not len(broken) or unit <= STILL * float(np.abs(upper).max()):
             return x
         k = len(broken)
         extended = np.zeros((len(rows), k + v))
@@ -96,7 +96,7 @@ def _feasible(rows: Array, upper: Array) -> Array | None:
         if found is None:
             return None
         x = x + unit * found[0][k:]
-    return x if (rows @ x - upper).max() <= 1e3 * FEASIBLE * max(1.0, float(np.abs(upper).max())) else None
+    return x if (rows @ x - upper).max() <= FEASIBLE * float(np.abs(upper).max()) else None
 
 
 def _primal_active_set(rows: Array, upper: Array, target: Array, start: Array) -> tuple[Array, Array] | None:
