@@ -147,20 +147,16 @@ def is_optimal(problem: ExactProblem, x: Sequence[Fraction]) -> bool:
 
 
 def brute_force(problem: ExactProblem) -> Vector | None:
-    """Return the optimum by trying every set of rows as equalities, at every level: for tiny problems without soft levels."""
+    """Return the optimum by trying every set of rows as equalities, at every level; none may be soft."""
     m, fixed = problem.joint_count, list(zip(problem.equalities, problem.sides, strict=True))
     rows = list(zip(problem.rows, problem.upper, strict=True))
     best: Vector | None = None
     for level in problem.every_level:
         found: list[tuple[Fraction, Vector]] = []
+        form = _form([[*row, -b] for row, b in zip(level.matrix, level.target, strict=True)], level.weights)
         for chosen in chain.from_iterable(combinations(rows, count) for count in range(len(rows) + 1)):
             sides = [*fixed, *chosen]
-            kkt = [
-                [sum((w * row[i] * row[j] for w, row in zip(level.weights, level.matrix, strict=True)), Fraction(0))
-                 for j in range(m)] + [row[i] for row, _ in sides]
-                + [sum((w * row[i] * b for w, row, b in zip(level.weights, level.matrix, level.target, strict=True)), Fraction(0))]
-                for i in range(m)
-            ]  # fmt: skip
+            kkt = [[*form[i][:m], *(row[i] for row, _ in sides), -form[i][m]] for i in range(m)]
             kkt += [[*row, *([Fraction(0)] * len(sides)), side] for row, side in sides]
             solution = _solution([_integers(row) for row in kkt], m + len(sides))
             if solution is not None:
