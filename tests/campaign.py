@@ -35,7 +35,7 @@ BROKEN = 1e-8  # of the step: how far a certified one may break a row
 ROUNDED = 8 * EPSILON  # of the longest step that any row asks for alone
 SINGLE = 2.0**-24  # relative error of a number in single precision
 CARRIED = 64  # times the data's noise is what small problems of small integers make of it
-LOST = 1e-10  # of the step: a displacement that may cost what it costs
+LOST = 1e-12  # of the step: a displacement that may cost what it costs
 LEANS = 1e-13  # of the step: breaking a row by more than this can be what changes the optimum
 
 RIGHT = "right"
@@ -847,7 +847,7 @@ def _broken(clean: exact.ExactProblem, x: exact.Vector, root: Array) -> float:
 
 
 def judge_feigned(case: Case) -> Verdict:
-    """Return whether the certificate holds for any feasible step that is wrong: optima of fewer levels, and halfway there."""
+    """Return whether a certificate holds for feasible steps that are wrong: optima of fewer levels, and halfway there."""
     if case.optimum is None:
         return Verdict(RIGHT)
     truth = np.array(case.optimum.x)
