@@ -35,7 +35,7 @@ BROKEN = 1e-8  # of the step: how far a certified one may break a row
 ROUNDED = 8 * EPSILON  # of the longest step that any row asks for alone
 SINGLE = 2.0**-24  # relative error of a number in single precision
 CARRIED = 64  # times the data's noise is what small problems of small integers make of it
-LOST = 1e-12  # of the step: a displacement that may cost what it costs
+LOST = 1e-10  # of the step: a displacement that may cost what it costs
 LEANS = 1e-13  # of the step: breaking a row by more than this can be what changes the optimum
 
 RIGHT = "right"
@@ -789,10 +789,12 @@ def judge_step(case: Case, dtheta: Array, certificate: Any) -> Verdict:
     if broken > (BROKEN + CARRIED * case.noise) * size + floor:
         return Verdict(WRONG, f"breaks a row by {broken:.1e}, step {size:.1e}")
     gaps = getattr(certificate, "gaps", (0.0,) * len(best.costs))
+    displaced = LOST * np.minimum(size / root, _reach(case.problem)) + floor / root
     leans = broken > (LEANS + CARRIED * case.noise) * size
     for number, (level, cost, gap) in enumerate(zip(clean.every_level, best.costs, gaps, strict=True)):
         allowed = gap + (COST + CARRIED * case.noise) * float(_terms(level, best.x))
-        allowed += _felt(level, root) * (LOST * size + floor) ** 2
+        felt = _felt(level, displaced)
+        allowed += 2.0 * float(np.sqrt(felt * float(cost))) + felt
         excess = float(level.cost(x) - cost)
         if excess > allowed:
             return Verdict(
@@ -816,10 +818,15 @@ def _terms(level: exact.ExactLevel, x: exact.Vector) -> Fraction:
     return sum((w * part for w, part in zip(level.weights, parts, strict=True)), Fraction(0))
 
 
-def _felt(level: exact.ExactLevel, root: Array) -> float:
-    """Return what a step of length 1 costs at most where the cost is least."""
-    scaled = np.array(level.matrix, float) / root
-    return float(np.array(level.weights, float) @ (scaled**2).sum(axis=1))
+def _felt(level: exact.ExactLevel, displaced: Array) -> float:
+    """Return what moving each joint by so much costs at most where the cost is zero."""
+    moved = np.abs(np.array(level.matrix, float)) @ displaced
+    return float(np.array(level.weights, float) @ moved**2)
+
+
+def _reach(problem: pik.IKProblem) -> Array:
+    """Return how far from zero the bounds let each joint."""
+    return np.maximum(np.abs(problem.bounds.lower), np.abs(problem.bounds.upper))
 
 
 def _longest(clean: exact.ExactProblem, root: Array) -> float:
