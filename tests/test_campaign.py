@@ -1,0 +1,128 @@
+"""The library against an oracle in rational numbers, on hierarchies that are degenerate exactly."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import campaign
+import exact
+import numpy as np
+import pytest
+
+import prioritized_ik as pik
+
+MOVED = 1e-3  # of a step: an error that no judge may miss
+ORACLE_KINDS = [name for name in campaign.supported() if name != "infeasible"]
+
+# What goes wrong today, by kind. A kind that no longer does is to leave the list.
+NARROW_ROOM = frozenset(
+    {"nearly_parallel_levels", "thin_set", "sliver", "wedge", "row_nearly_parallel", "row_needs_far_joint"}
+)
+FEIGNED_TODAY = NARROW_ROOM | {"far_weak", "tiny_steps", "row_units", "joint_units", "posture_as_rows", "planar_soft"}
+WRONG_TODAY = FEIGNED_TODAY | {"near_redundant", "planar_rows", "rounding_rows", "rounding_levels"}
+
+
+def tiny(seed: int) -> exact.ExactProblem:
+    """A problem small enough to try every set of rows."""
+    rng = np.random.default_rng(seed)
+    m = int(rng.integers(1, 4))
+    sketch = campaign.Sketch(rng, m).random_levels(int(rng.integers(1, 3)), most=4)
+    for _ in range(rng.integers(0, 5)):
+        sketch.rows.append((sketch.vector(), float(rng.integers(-1, 3))))
+    if sketch.chance(0.3):
+        sketch.equal(sketch.vector())
+    sketch.reference = sketch.integers(m, most=2)
+    return exact.ExactProblem.of(sketch.problem())
+
+
+def per_kind(request: pytest.FixtureRequest) -> int:
+    return -(-request.config.getoption("--campaign") // len(campaign.KINDS))
+
+
+def known(name: str, wrong: frozenset[str]) -> object:
+    return pytest.param(name, marks=pytest.mark.xfail(strict=False)) if name in wrong else name
+
+
+def test_the_oracle_agrees_with_trying_every_set_of_rows() -> None:
+    infeasible = 0
+    for seed in range(100):
+        problem = tiny(seed)
+        found, every = exact.optimum(problem), exact.brute_force(problem)
+        assert (found and found.x) == every
+        infeasible += every is None
+    assert 5 <= infeasible <= 50
+
+
+@pytest.mark.parametrize("name", ORACLE_KINDS)
+def test_the_oracles_optimum_has_multipliers_at_every_level_and_nothing_near_it_has(name: str) -> None:
+    for seed in range(2):
+        clean = campaign.draw(name, seed).clean
+        best = exact.optimum(clean)
+        assert best is not None
+        assert exact.is_optimal(clean, best.x)
+        for joint in range(clean.joint_count):
+            for sign in (-1, 1):
+                moved = list(best.x)
+                moved[joint] += sign * Fraction(1, 2**40)
+                assert not exact.is_optimal(clean, moved)
+
+
+def test_a_problem_is_infeasible_exactly_where_it_was_made_so() -> None:
+    assert all(campaign.draw("infeasible", seed).optimum is None for seed in range(20))
+
+
+@pytest.mark.parametrize("name", [known(name, WRONG_TODAY) for name in campaign.supported()])
+def test_no_step_is_certified_wrongly_and_no_feasible_problem_called_infeasible(
+    name: str, request: pytest.FixtureRequest
+) -> None:
+    tallies = campaign.campaign([name], range(per_kind(request)))
+    assert not tallies[name].fatal, campaign.table(tallies, reasons=True)
+
+
+@pytest.mark.parametrize("name", [known(name, FEIGNED_TODAY) for name in campaign.supported()])
+def test_no_certificate_holds_for_the_optimum_of_fewer_levels(name: str, request: pytest.FixtureRequest) -> None:
+    tallies = campaign.campaign([name], range(-(-per_kind(request) // 2)), campaign.judge_feigned)
+    assert not tallies[name].fatal, campaign.table(tallies, reasons=True)
+
+
+class TestSabotage:
+    """A judge that cannot see an error proves nothing."""
+
+    @pytest.mark.parametrize("name", ["integer", "free", "soft_mix", "conflicts", "equalities", "reference", "huge_steps"])
+    def test_a_step_moved_by_a_thousandth_of_itself_is_judged_wrong(self, name: str) -> None:
+        seen = 0
+        for seed in range(10):
+            case = campaign.draw(name, seed)
+            step = pik.solve(case.problem)
+            if campaign.judge_step(case, step.dtheta, step.certificate).word != campaign.RIGHT:
+                continue
+            felt = case.problem.levels[0].matrix[0]
+            size = np.linalg.norm(felt) * (np.linalg.norm(step.dtheta) or 1.0)
+            for sign in (-1.0, 1.0):
+                moved = step.dtheta + sign * MOVED * felt * size / np.dot(felt, felt)
+                seen += 1
+                assert campaign.judge_step(case, moved, step.certificate).word == campaign.WRONG
+        assert seen >= 10
+
+    def test_a_step_that_breaks_a_row_is_judged_wrong_though_it_costs_less(self) -> None:
+        sketch = campaign.Sketch(np.random.default_rng(0), 2).level(np.eye(2), [3.0, 0.0])
+        sketch.upper = np.array([1.0, 1.0])
+        problem = sketch.problem()
+        case = campaign.Case("one bound", 0, problem, exact.ExactProblem.of(problem))
+        step = pik.solve(problem)
+        assert campaign.judge_step(case, step.dtheta, step.certificate).word == campaign.RIGHT
+        assert campaign.judge_step(case, np.array([1.0 + MOVED, 0.0]), step.certificate).word == campaign.WRONG
+
+    def test_a_level_in_the_wrong_place_is_judged_wrong(self) -> None:
+        swapped = 0
+        for seed in range(20):
+            case = campaign.draw("conflicts", seed)
+            levels = case.clean.levels
+            other = exact.optimum(replace(case.clean, levels=levels[::-1]))
+            assert case.optimum is not None
+            assert other is not None
+            if other.x != case.optimum.x:
+                certificate = pik.solve(case.problem).certificate
+                verdict = campaign.judge_step(case, np.array(other.x, float), certificate)
+                swapped += verdict.word == campaign.WRONG
+                assert verdict.word in (campaign.WRONG, campaign.UNCERTIFIED)
+        assert swapped >= 10
