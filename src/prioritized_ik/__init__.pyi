@@ -21,6 +21,7 @@ from .limits import step_bounds as step_bounds
 # solve
 from .solvers.lexicographic import SolveOptions as SolveOptions
 from .solvers.lexicographic import solve as solve
+from .solvers.lexicographic import get_solver as get_solver
 from .solvers.step import JointStep as JointStep
 from .solvers.step import StepStatus as StepStatus
 from .solvers.certificate import Certificate as Certificate

@@ -32,7 +32,7 @@ CERTIFIED = 1e-8
 
 #: [of the level's demand, squared] How much lower a level's cost could be. The gap is a product of multiplier and slack, so
 #: rounding alone leaves 1e-15 of the multipliers' share; a step that misses 1e-5 of what a level asks for has 1e-10.
-GAP = 1e-6
+GAP = 1e-9
 
 #: [of the step] How far rounding may move the step where the certificate holds.
 UNDECIDED = 1e-4

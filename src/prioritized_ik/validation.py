@@ -99,7 +99,7 @@ def _number(value: object) -> float:
     """Return `value` as a float, NaN if it is no finite number (NaN fails every comparison)."""
     try:
         number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return math.nan
     return number if math.isfinite(number) else math.nan
 

@@ -70,6 +70,8 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
             break
         room = rows.slack(u)
         rate = room - rows.slack(target)
+        if not np.isfinite(rate).all():
+            break
         blocking = ~active & (rate > room + KEPT * hierarchy.scale(target))
         if blocking.any():
             # Ratio test: how far towards the target each blocking row lets go.

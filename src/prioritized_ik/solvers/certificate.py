@@ -12,13 +12,15 @@ without harm to those above:
     Q_ℓ(u) - Q_ℓ* <= 2 λᵀ slack + 2 Σ |λ_i| leak_i + ‖rest‖²,
 
 with leak_i how far a row that a level above holds can move without costing that level more than its own gap, and the rest
-counted in coordinates in which Q_ℓ is ‖·‖². So complementary slackness is part of the bound: a row that is merely near
+counted in coordinates in which Q_ℓ is ‖·‖² (along directions that the level does not feel: times the size of the step). Where the levels above are flat to rounding, the step may be off by v, and the
+level's cost by 2 ‖A_ℓᵀW_ℓ(A_ℓ u - b_ℓ)‖ v + ‖W_ℓ^½ A_ℓ‖² v² more. So complementary slackness is part of the bound: a row that is merely near
 cannot carry a multiplier for nothing. What the conditions leave over is told as a joint displacement too, because a level
 may hardly feel what decides the step.
 
 Everything is in the problem's joint metric.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,11 +28,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from prioritized_ik.problem import IKProblem, Level
+from prioritized_ik.problem import IKProblem, Level, trusted
 from prioritized_ik.solvers.hierarchy import HARD, Hierarchy, Shortfall
 from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
 from prioritized_ik.tolerances import CERTIFIED, GAP, NOTHING, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, finite_array, fraction, length, lengths
+
+LEAST_DEMAND = 1e-6  # of what a step of this size can do to a level: a level that asks for less asks for nothing
 
 IMPROVEMENTS = 4  # of a combination in extended precision; each gains as many digits as the rows leave
 
@@ -41,8 +45,9 @@ class LevelProof:
 
     Attributes:
         level: its name.
-        gap: how much lower its cost could be, in its own units, squared.
-        demand: size of what it asks for and of what the step does to it, what the gap is relative to, squared.
+        gap: how much lower its cost could be with the levels above where they are, in its own units, squared.
+        carried: how much lower it could be because those above are decided to rounding only.
+        demand: √(bᵀ W b), or its error √Q if that is more, what the gap is relative to, squared.
         displacement: what would still lower the level's cost without harm to those above `(m,)`, beyond rounding.
         rounding: how long a displacement the rounding of the conditions' own terms explains.
         multipliers: λ `(r,)` of the pooled rows; zero for those that do not hold the level back.
@@ -55,6 +60,7 @@ class LevelProof:
 
     level: str
     gap: float
+    carried: float
     demand: float
     displacement: Array
     rounding: float
@@ -97,7 +103,7 @@ class Certificate:
     Attributes:
         violation: worst violation of a hard row, bound or equality, relative to the step.
         gaps: by level, how much lower its cost (Eq. 10) could be, in its own units, squared.
-        relative_gaps: the same relative to the level's demand, squared.
+        relative_gaps: the part that rounding does not explain, relative to what the level asks for or to its error, squared.
         stationarity: by level, how much of a step would still lower its cost, beyond what `rounding` explains.
         rounding: by level, how much of a step the rounding of the conditions' own terms can feign.
         held_by: by level, the names of the rows that hold it back (their multipliers are positive).
@@ -189,6 +195,8 @@ class Proof:
         self.exceeded = (rows.level != HARD) & (self.slack < -near)
         #: How far a row can move that a level above holds, infinite for those that none holds.
         self._leak = np.full(len(rows.upper), np.inf)
+        self._off = 0.0  # by how much the step is off at the levels so far, in what they decide
+        self._above = 0.0  # how far rounding can have moved the step at the levels so far
         self.levels = list(self._prove())
 
     @cached_property
@@ -197,7 +205,7 @@ class Proof:
         names = self._hierarchy.rows.names
         return Certificate(
             self._violation() / self.scale,
-            tuple(level.gap for level in self.levels),
+            tuple(level.gap + level.carried for level in self.levels),
             tuple(level.relative_gap for level in self.levels),
             tuple(level.excess / self.scale for level in self.levels),
             tuple(level.rounding / self.scale for level in self.levels),
@@ -222,7 +230,7 @@ class Proof:
         free, near = hierarchy.free, np.flatnonzero(self.near & (rows.level == HARD))
         for number, (level, block) in enumerate(zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)):
             shortfall = block.shortfall(rows, self.slack, self.exceeded, u, free)
-            yield self._proof(level.name, shortfall, free, near, None if level.is_soft else level)
+            yield self._proof(level.name, block.demand, shortfall, free, near, level)
             if block.is_soft:
                 # None may be exceeded by more than it is, and none by less without costing the level: they hold.
                 own = self.exceeded & (rows.level == number)
@@ -234,15 +242,19 @@ class Proof:
         terms = np.abs(free.T) @ (np.abs(u) + np.abs(reference))
         size = length(u) + length(reference)
         last = Shortfall(Range(free, free[:, :0], None), free.T @ (u - reference), terms, size, 0.0)
-        yield self._proof("last level", last, free, near)
+        identity = np.eye(len(u))
+        own = trusted(Level, matrix=identity, target=reference, weights=np.ones(len(u)), name="last level", kind="equal")
+        yield self._proof("last level", size, last, free, near, own)
+
+    def _sensitivity(self, level: Level) -> tuple[float, float]:
+        """Return the length of the gradient of a level's cost, and ‖W^½ A‖."""
+        steepness = 2.0 * length(level.matrix.T @ (level.weights * level.residual(self._u)))
+        return steepness, float(np.linalg.norm(np.sqrt(level.weights)[:, None] * level.matrix))
 
     def _proof(
-        self, name: str, shortfall: Shortfall, free: Array, near: NDArray[np.int_], level: Level | None = None
+        self, name: str, demand: float, shortfall: Shortfall, free: Array, near: NDArray[np.int_], level: Level
     ) -> LevelProof:
-        """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back.
-
-        An `equal` level's own rows are there for a second look.
-        """
+        """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back."""
         rows, felt = self._hierarchy.rows, shortfall.felt
         felt_lengths = lengths(felt.felt.T)
         unfelt_lengths = np.full(felt.unfelt.shape[1], min(felt_lengths, default=1.0) / UNFELT)
@@ -256,9 +268,10 @@ class Proof:
         all_lengths = np.concatenate([felt_lengths, unfelt_lengths])
         for extended in (False, True):
             blur = ROUNDING * terms
-            if extended and level is not None:
+            if extended and not level.is_soft:
                 gradient, blur = _exact_gradient(level, felt.felt, self._u, len(gradient), blur)
-            balance = _balanced(rows.matrix[near], basis, gradient, held, extended=extended)
+            lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
+            balance = _balanced(rows.matrix[near], basis, lacking, held, extended=extended)
             rounding = blur + balance.rounding
             explained = float(np.linalg.norm(all_lengths * rounding))
             beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
@@ -272,19 +285,29 @@ class Proof:
         multipliers = np.zeros(len(rows.upper))
         multipliers[near] = np.where(np.abs(net) > NOTHING * (size + np.abs(net).sum()), net / sizes, 0.0)
         room = np.where(held & (net < 0.0), np.minimum(self._leak[near], 1e300), np.abs(self.slack[near]))
-        gap = 2.0 * float(np.abs(net / sizes) @ room) + float(beyond @ beyond)
+        gap = 2.0 * float(np.abs(net / sizes) @ room) + float(beyond @ beyond) + float(rounding @ rounding)
+        # Along what it does not feel a level's cost falls without end: as far as steps of this size go.
+        gap += 2.0 * length(beyond[len(felt_lengths) :] / unfelt_lengths) * self.scale
         positive = ~held & (multipliers[near] > 0.0)
         self._leak[near[positive]] = gap / multipliers[near[positive]]
         moved = np.abs(net) > NOTHING * (size + np.abs(net).sum())
         away = rows.reach(near, felt.unfelt)
         away = np.where(away > self._hierarchy.settled, away, rows.reach(near, free))
-        loosened = float((np.where(held & (net < 0.0), 0.0, np.abs(self.slack[near])) / away)[moved].max(initial=0.0))
+        loosened = float((np.where(held & (net < 0.0), 0.0, np.abs(self.slack[near])) / away)[moved].sum())
+        # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
+        steepness, strength = self._sensitivity(level)
+        follows = strength * float(np.linalg.norm(felt.felt)) if felt.felt.size else 0.0
+        off = self._off * (1.0 + follows)
+        above = max(self._above, off)
+        self._above = max(self._above, explained, loosened)
+        self._off = off + length(displacement)
         return LevelProof(
             name,
             gap,
-            shortfall.size,
+            steepness * above + (strength * above) ** 2,
+            max(demand, math.sqrt(level.cost(self._u)), LEAST_DEMAND * shortfall.size),
             displacement,
-            max(explained, loosened),
+            max(explained, loosened, self._off),
             multipliers,
             gradient,
             near,
