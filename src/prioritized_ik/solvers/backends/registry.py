@@ -59,7 +59,7 @@ def get_backend(name: str, accuracy: float = ACCURACY, *, refine: bool = True) -
     """
     if not isinstance(name, str):
         raise InputError(f"solver is {name!r}; expected a name, one of: {_installed()}.")
-    if not isinstance(accuracy, Real):
+    if not isinstance(accuracy, Real) or isinstance(accuracy, int):  # a text, or whole and maybe too large for a float
         raise InputError(f"accuracy is {accuracy!r}; expected a number above 0 and below 1.")
     accuracy = fraction("accuracy", accuracy)
     if name in _factories:
