@@ -386,8 +386,23 @@ def test_the_multipliers_of_an_answer_balance_its_cost(name, problem):
             slack = stage.problem.h - stage.problem.G @ result.x
             assert np.abs(result.multipliers * slack).max() <= STATIONARY
             assert result.multipliers.max() > 0.1  # a row binds
-    result.multipliers[:] = np.nan  # the caller's, not the backend's
-    assert left_over(stage, (again := backend.solve(stage)).x, again.multipliers) <= STATIONARY
+
+
+@pytest.mark.parametrize("name", NATIVE)
+def test_what_a_caller_does_with_the_multipliers_is_no_start_for_the_next_call(name):
+    used, spoilt, stage = get_backend(name), get_backend(name), stage_of()
+    for backend in (used, spoilt, used, spoilt):
+        result = backend.solve(stage)
+        if backend is spoilt:
+            result.multipliers[:] = np.nan
+    assert (result.calls, spoilt.iterations) == (used.solve(stage).calls, used.iterations)
+
+
+def test_a_multiplier_that_rounding_made_negative_is_zero(monkeypatch):
+    backend, stage = get_backend("daqp-warm"), stage_of()
+    answer = Answer(np.zeros(stage.size), np.full(len(stage.row_ids), -1e-17), 1)
+    monkeypatch.setattr(backend._workspace, "solve", lambda *given: answer)
+    assert (backend.solve(stage).multipliers == 0.0).all()
 
 
 @pytest.mark.parametrize("name", ["daqp", "daqp-warm", "proxqp", "proxqp-warm", "quadprog", "clarabel"])
