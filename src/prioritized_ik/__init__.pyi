@@ -38,5 +38,9 @@ from .winding.metrics import measure as measure
 
 # errors
 from .errors import PrioritizedIkError as PrioritizedIkError
+from .errors import InputError as InputError
+from .errors import SolverUnavailableError as SolverUnavailableError
 from .errors import InfeasibleError as InfeasibleError
 from .errors import StepNotFoundError as StepNotFoundError
+
+__version__: str

@@ -1,8 +1,18 @@
-"""What can go wrong, as exceptions. Each message gives the value, what was expected and what to do."""
+"""What can go wrong, as exceptions. Each message gives the value, what was expected and what to do.
+
+All of them pickle and copy with what they hold, so that pools of processes hand them back.
+"""
+
+import copyreg
+from typing import Any
 
 
 class PrioritizedIkError(Exception):
     """Base of every error that this package raises on purpose."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how to make this error again: from its message, then its attributes, never through its `__init__`."""
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
 class InputError(PrioritizedIkError, ValueError):

@@ -5,22 +5,27 @@ starts from the multipliers that the same rows had a step ago, and from the x th
 are other directions at every step. The Hessian, diag(1, 0), is the same for all stages of one size; one of another size
 gets a new workspace but keeps the multipliers. A failure costs the place its memory, and the stage is tried once more from
 nothing, less accurately.
+
+Workspaces stay where they were made: a copy of a backend, pickled or not, starts with none, and so does a process that was
+forked. Two threads cannot be in one workspace, so a backend refuses a call that comes while it is at work on another.
 """
 
 import importlib.metadata
 import math
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import qpsolvers
 import scipy.sparse
 from numpy.typing import NDArray
 
+from prioritized_ik.errors import InputError
 from prioritized_ik.solvers.backends.abilities import Options, abilities_of
 from prioritized_ik.solvers.backends.protocol import SolverFailedError, StageResult
 from prioritized_ik.solvers.backends.qpsolvers_ import FIRM_SHIFT, LOOSER, SOLVER_ERRORS
@@ -56,6 +61,10 @@ class Workspace(ABC):
 
     @abstractmethod
     def __init__(self, problem: qpsolvers.Problem, options: Options, costed: int, shift: float) -> None: ...
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied: what bindings copy of a solver's memory need not be memory at all."""
+        raise TypeError(f"{type(self).__name__} holds a solver's own memory and cannot be copied; copy its backend.")
 
     _sent: Array | None  # the rows as they came, to tell whether others came
 
@@ -122,6 +131,8 @@ class _Memory:
 class NativeBackend:
     """A solver's own interface, with its row of the table of abilities.
 
+    One is for one thread; `get_backend` makes one for each. A copy starts from nothing, wherever it goes.
+
     Attributes:
         name: what the registry calls it.
         accuracy: asked of the solver, in the stages' scaled variables.
@@ -133,10 +144,25 @@ class NativeBackend:
         self.accuracy = accuracy
         self.abilities = abilities_of(name)
         self.zooms = self.abilities.zooms if refine else ()
-        self.iterations = 0
         self._workspace = workspace
+        self._start()
+
+    def _start(self) -> None:
+        """Begin with nothing."""
+        self.iterations = self._calls = 0
         self._memories: dict[int, _Memory] = {}
-        self._calls = 0
+        self._process = os.getpid()  # that made the memories
+        self._users: dict[int, object] = {}  # the call at work in each process; after a fork, those of the parent are void
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy gets: the settings, not the memories."""
+        left = ("abilities", "version", "iterations", "_calls", "_memories", "_process", "_users")
+        return {name: value for name, value in vars(self).items() if name not in left}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.abilities = abilities_of(self.name)
+        self._start()
 
     @cached_property
     def version(self) -> str:
@@ -144,7 +170,23 @@ class NativeBackend:
         return importlib.metadata.version(self.abilities.package)
 
     def solve(self, stage: Stage) -> StageResult:
-        """See `Backend.solve`. A stage to be solved as it stands starts from nothing and leaves nothing behind."""
+        """See `Backend.solve`. A stage to be solved as it stands starts from nothing and leaves nothing behind.
+
+        Raises:
+            InputError: another thread's call is under way.
+        """
+        process, call = os.getpid(), object()
+        try:
+            if self._users.setdefault(process, call) is not call:  # one step, so that no two threads get through
+                raise InputError(f"backend {self.name} is in use by another thread; make one a thread with get_backend.")
+            if process != self._process:
+                self._process, self._memories = process, {}
+            return self._solve(stage)
+        finally:
+            if self._users.get(process) is call:
+                del self._users[process]
+
+    def _solve(self, stage: Stage) -> StageResult:
         self._calls = self.iterations = 0
         if stage.as_it_stands:
             return self._attempt(lambda: self._solve_as_it_stands(stage))
@@ -155,18 +197,21 @@ class NativeBackend:
         second = self._attempt(lambda: self._solve_from(stage, None, again=True))
         return second if second.x is not None else replace(first, calls=second.calls)
 
-    def _attempt(self, solve: Callable[[], Array]) -> StageResult:
+    def _attempt(self, solve: Callable[[], tuple[Array, Array]]) -> StageResult:
+        """Return what `solve` makes of a stage, x `(v,)` and multipliers `(r,)`."""
         try:
-            return StageResult(solve(), calls=self._calls)
+            x, multipliers = solve()
         except SolverFailedError as failure:
             return StageResult(None, f"{self.name} {failure}", self._calls)
+        return StageResult(x, calls=self._calls, multipliers=np.maximum(multipliers, 0.0))
 
-    def _solve_as_it_stands(self, stage: Stage) -> Array:
+    def _solve_as_it_stands(self, stage: Stage) -> tuple[Array, Array]:
         workspace = self._set_up(stage.problem, {}, stage.costed, 0.0)
-        return self._call(workspace, stage.problem, None).x
+        answer = self._call(workspace, stage.problem, None)
+        return answer.x, answer.multipliers
 
-    def _solve_from(self, stage: Stage, memory: _Memory | None, *, again: bool = False) -> Array:
-        """Return x `(v,)`, from what the place remembers. Only an answer of full accuracy is remembered."""
+    def _solve_from(self, stage: Stage, memory: _Memory | None, *, again: bool = False) -> tuple[Array, Array]:
+        """Return the answer from what the place remembers. Only one of full accuracy is remembered."""
         problem = stage.problem
         shape = (stage.size, stage.costed, len(stage.row_ids))
         multipliers = np.zeros(shape[2]) if memory is None else memory.multipliers_of(stage.row_ids)
@@ -182,18 +227,22 @@ class NativeBackend:
             self._memories[stage.place] = _Memory(workspace, shape, stage.row_ids, answer.multipliers)
         return self._refined(stage, workspace, answer)
 
-    def _refined(self, stage: Stage, workspace: Workspace, answer: Answer) -> Array:
+    def _refined(self, stage: Stage, workspace: Workspace, answer: Answer) -> tuple[Array, Array]:
         """Return the answer zoomed in on; a zoom by ε divides the multipliers by ε too."""
-        zooms = iter(self.zooms)
+        zooms, multipliers = iter(self.zooms), answer.multipliers
 
         def once(problem: qpsolvers.Problem) -> Array:
+            nonlocal multipliers
+            epsilon = next(zooms)
             try:
-                return self._call(workspace, problem, answer.multipliers / next(zooms)).x
+                zoomed = self._call(workspace, problem, answer.multipliers / epsilon)
             except SolverFailedError:
                 self._memories.pop(stage.place, None)
                 raise
+            multipliers = epsilon * zoomed.multipliers
+            return zoomed.x
 
-        return zoom_in(stage, answer.x, self.zooms, once, SolverFailedError)
+        return zoom_in(stage, answer.x, self.zooms, once, SolverFailedError), multipliers
 
     def _set_up(self, problem: qpsolvers.Problem, options: Options, costed: int, shift: float) -> Workspace:
         with self._failures():

@@ -16,11 +16,14 @@ class StageResult:
         x: the variables `(v,)`, finite; None if the solver failed.
         message: why it failed; empty otherwise.
         calls: how often the solver was called.
+        multipliers: of the stage's rows G `(r,)`, not negative, as the solver gives them: at x, Px + q + Gᵀ multipliers
+            is near zero. None if the solver failed, or gives none.
     """
 
     x: Array | None
     message: str = ""
     calls: int = 1
+    multipliers: Array | None = None
 
 
 class SolverFailedError(Exception):
@@ -28,7 +31,7 @@ class SolverFailedError(Exception):
 
 
 class Backend(Protocol):
-    """A QP solver that can be handed stages."""
+    """A QP solver that can be handed stages. One backend serves one thread at a time."""
 
     @property
     def name(self) -> str:

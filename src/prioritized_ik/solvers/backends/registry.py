@@ -1,7 +1,9 @@
 """Which backends there are, and how to get one by name."""
 
+import difflib
 import importlib.util
 from collections.abc import Callable
+from numbers import Real
 
 import qpsolvers
 
@@ -43,6 +45,9 @@ def installed_solvers(*, on_request: bool = False) -> list[str]:
 def get_backend(name: str, accuracy: float = ACCURACY, *, refine: bool = True) -> AnyBackend:
     """Return the backend called `name`.
 
+    A backend is for one thread; make one for each. It can be copied and pickled, also once used, and a copy starts from
+    nothing: what a solver remembers from the step before stays with the original.
+
     Args:
         name: one of `known_solvers()`.
         accuracy: asked of the solver, below 1 and at least what it reaches; the table of abilities makes its options of it.
@@ -50,11 +55,17 @@ def get_backend(name: str, accuracy: float = ACCURACY, *, refine: bool = True) -
 
     Raises:
         SolverUnavailableError: unknown, or not installed (with the command that installs it).
-        InputError: an accuracy out of range, or finer than the solver reaches.
+        InputError: a name that is no text; an accuracy that is no number, out of range, or finer than the solver reaches.
     """
-    fraction("accuracy", accuracy)
+    if not isinstance(name, str):
+        raise InputError(f"solver is {name!r}; expected a name, one of: {_installed()}.")
+    if not isinstance(accuracy, Real) or isinstance(accuracy, int):  # a text, or whole and maybe too large for a float
+        raise InputError(f"accuracy is {accuracy!r}; expected a number above 0 and below 1.")
+    accuracy = fraction("accuracy", accuracy)
     if name in _factories:
         return _factories[name](accuracy)
+    if name not in known_solvers():
+        raise SolverUnavailableError(f"unknown solver {name!r}; {_guess(name)}choose one of: {_installed()}.")
     finest = abilities_of(name).finest
     if accuracy < finest:
         raise InputError(f"accuracy is {accuracy:g}, finer than {name} reaches; expected at least {finest:g}.")
@@ -62,13 +73,21 @@ def get_backend(name: str, accuracy: float = ACCURACY, *, refine: bool = True) -
         return QpsolversBackend(name, accuracy, refine=refine)
     if name in NATIVE and _is_installed(name):
         return _native(name, accuracy, refine=refine)
-    installed = ", ".join(installed_solvers(on_request=True))
-    if name in known_solvers():
-        package = abilities_of(name).package
-        raise SolverUnavailableError(
-            f"solver {name!r} is not installed; install it with: pip install {package} (installed: {installed})."
-        )
-    raise SolverUnavailableError(f"unknown solver {name!r}; choose one of: {installed}.")
+    package = abilities_of(name).package
+    raise SolverUnavailableError(
+        f"solver {name!r} is not installed; install it with: pip install {package} (installed: {_installed()})."
+    )
+
+
+def _installed() -> str:
+    """Return the names that `get_backend` takes, as text."""
+    return ", ".join(installed_solvers(on_request=True))
+
+
+def _guess(name: str) -> str:
+    """Return which known solvers an unknown `name` is a slip of the pen for, the nearest first, as part of a message."""
+    near = [repr(known) for known in difflib.get_close_matches(name.lower(), known_solvers())]
+    return f"did you mean {' or '.join(near)}? " if near else ""
 
 
 def _is_installed(name: str) -> bool:
