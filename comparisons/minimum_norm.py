@@ -24,9 +24,8 @@ from prioritized_ik.validation import Array
 
 POSTURE = "arched"
 DISPLACEMENT = (0.0, 0.005, 0.005)  # [m] of the arm's end, at an angle to its plane, so that no symmetry helps
-QP_USED = SolveOptions(
-    rank_tolerance=RANK_TOLERANCE, closed_form_first=False
-)  # no row binds, so that the closed form would need no solver
+#: No row binds, so that the closed form would need no solver.
+QP_USED = SolveOptions(rank_tolerance=RANK_TOLERANCE, closed_form_first=False)
 TASKS = ("position", "pose")  # the end's position, or its orientation too, which is to stay
 DT = 1.0  # [s] so that mink's velocity is the step
 

@@ -9,8 +9,8 @@ from prioritized_ik.models import DIRECTIONS
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend, installed_solvers, registered
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.lexicographic import FORMULATIONS, ONE_QP, SolveOptions
-from prioritized_ik.validation import at_least, fraction, one_of, positive
+from prioritized_ik.solvers.lexicographic import DAMPING, FORMULATIONS, ONE_QP, SolveOptions
+from prioritized_ik.validation import at_least, fraction, non_negative, one_of, positive
 from prioritized_ik.winding.metrics import ROUND_SHAPES
 
 #: Rows beside the QP backends: Eqs. (12) to (14) alone, and what a user of mink gets today.
@@ -61,7 +61,7 @@ class ComparisonSettings:
     seeds: tuple[int, ...] = ()
     accuracy: tuple[float, ...] = (ACCURACY,)
     rank_tolerance: float = RANK_TOLERANCE
-    damping: float = 1e-12
+    damping: float = DAMPING
     closed_form_first: bool = False
     repeats: int = 1
     drive: bool = True
@@ -99,6 +99,7 @@ class ComparisonSettings:
             at_least(name, getattr(self, name), 1)
         for name in ("time_limit", "memory_limit"):
             positive(name, getattr(self, name))
+        non_negative("damping", self.damping)
         self.options()
         if self.recorded and not Path(self.recorded).is_dir():
             raise InputError(f"cannot read {self.recorded!r}; expected a folder with saved episodes or QPs (.npz).")

@@ -17,7 +17,7 @@ from prioritized_ik.errors import SolverUnavailableError, StepNotFoundError
 from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.lexicographic import SolveOptions, solve
+from prioritized_ik.solvers.lexicographic import DAMPING, SolveOptions, solve
 from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.validation import Array
 from prioritized_ik.virtual_arms import VirtualArms
@@ -29,10 +29,10 @@ POSTURE = "arched"
 TASKS = (("end_17", (0.005, 0.01, 0.0)), ("end_16", (-0.005, 0.0, 0.005)))
 
 RATIOS = tuple(10.0**power for power in range(13))
-DAMPING = 1e-12  # mink's and pink's default
 SOLVER = "daqp"
 SLACK_SOLVERS = (SOLVER, "quadprog")  # one that stops at a tolerance, and one that knows only rounding
 
+CUT = SolveOptions(rank_tolerance=RANK_TOLERANCE)
 QP_ALONE = SolveOptions(rank_tolerance=RANK_TOLERANCE, closed_form_first=False, polish=False)
 
 ORTHOGONAL = "orthogonal factors"
@@ -83,7 +83,7 @@ def weighted(first: Level, second: Level, ratio: float) -> Level:
 
 def by_orthogonal_factors(*levels: Level) -> Array:
     """Eqs. (12) and (14), of several levels in strict order: the library's answer where there are no rows `(m,)`."""
-    return _found(solve(IKProblem(levels), SOLVER))
+    return _found(solve(IKProblem(levels), SOLVER, CUT))
 
 
 def by_pinv(level: Level) -> Array:

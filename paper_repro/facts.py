@@ -1,5 +1,6 @@
 """What the paper states, and whether we agree: `facts.toml` held against the checks."""
 
+import dataclasses
 import importlib
 import tomllib
 from dataclasses import dataclass
@@ -119,6 +120,8 @@ def with_unit(value: Any, unit: str) -> str:
     match value:
         case bool():
             return "yes" if value else "no"
+        case None:
+            text = "none"
         case float() | int():
             text = f"{value:g}"
         case list() | tuple():
@@ -139,8 +142,17 @@ def read(path: str) -> Any:
     place = next(i for i, part in enumerate(parts) if part != part.lower())  # modules are in lower case
     found: Any = importlib.import_module(".".join(["prioritized_ik", *parts[:place]]))
     for part in parts[place:]:
-        found = getattr(found, part)
+        found = _default(found, part)
     return found
+
+
+def _default(owner: Any, name: str) -> Any:
+    """Return what `owner` has under a name; of a class also the default that it makes anew for each of its objects."""
+    fields = dataclasses.fields(owner) if isinstance(owner, type) and dataclasses.is_dataclass(owner) else ()
+    for field in fields:
+        if field.name == name and field.default_factory is not dataclasses.MISSING:
+            return field.default_factory()
+    return getattr(owner, name)
 
 
 def table(found: list[Finding]) -> Table:

@@ -154,13 +154,13 @@ def test_eq6_drops_singular_values_up_to_the_tolerance() -> None:
 
 def test_a_lower_level_counts_its_rank_against_all_it_could_do() -> None:
     level = Level(np.diag([1.0, 1e-9]), np.zeros(2))
-    factors, unfelt = level_decomposition(level, np.eye(2)[:, 1:], 1e-6)
+    factors, unfelt, _ = level_decomposition(level, np.eye(2)[:, 1:], 1e-6)
     assert (factors.rank, unfelt.shape) == (0, (1, 1))
 
 
 def test_a_levels_factors_give_its_matrix() -> None:
     matrix = np.random.default_rng(0).normal(size=(5, 3))
-    factors, _ = level_decomposition(Level(matrix, np.zeros(5)), np.eye(3), 1e-6)
+    factors, _, _ = level_decomposition(Level(matrix, np.zeros(5)), np.eye(3), 1e-6)
     assert relative_error(factors.j_a @ factors.j_b, matrix) <= 1e-14
     assert relative_error(factors.j_b @ factors.j_b.T, np.eye(3)) <= 1e-14
 
@@ -169,8 +169,8 @@ def test_a_levels_factors_are_those_of_its_matrix_whatever_the_weights() -> None
     matrix = np.random.default_rng(0).normal(size=(5, 3)) * [1.0, 1.0, 1e-5]
     for weights in (np.ones(5), [200.0, 20.0, 1.0, 0.01, 0.01], [1e-9, 1e9, 1.0, 1e-9, 1e9]):
         for tolerance, rank in ((1e-3, 2), (1e-7, 3)):
-            unweighted, _ = level_decomposition(Level(matrix, np.zeros(5)), np.eye(3), tolerance)
-            factors, _ = level_decomposition(Level(matrix, np.zeros(5), weights), np.eye(3), tolerance)
+            unweighted, _, _ = level_decomposition(Level(matrix, np.zeros(5)), np.eye(3), tolerance)
+            factors, _, _ = level_decomposition(Level(matrix, np.zeros(5), weights), np.eye(3), tolerance)
             assert factors.rank == rank
             assert np.array_equal(factors.j_a, unweighted.j_a)
             assert np.array_equal(factors.j_b, unweighted.j_b)
@@ -181,7 +181,7 @@ def test_what_a_level_does_not_feel_completes_what_it_feels(rows: int, rank: int
     rng = np.random.default_rng(rows)
     matrix = rng.normal(size=(rows, rank)) @ rng.normal(size=(rank, 6))
     free = np.linalg.qr(rng.normal(size=(6, 5)))[0]
-    factors, unfelt = level_decomposition(Level(matrix, np.zeros(rows)), free, 1e-6)
+    factors, unfelt, _ = level_decomposition(Level(matrix, np.zeros(rows)), free, 1e-6)
     whole = np.hstack([factors.j_b.T, unfelt])
     assert factors.rank == rank
     assert np.abs(whole.T @ whole - np.eye(5)).max() < ROUNDING
@@ -297,7 +297,7 @@ def test_eq17_solved_plainly_on_the_paper_arm_gives_a_wildly_longer_step_or_none
 def test_eqs_12_and_14_equal_the_weighted_pseudoinverse_in_200_poses(paper_arm: Bench, kind: str) -> None:
     worst = 0.0
     for jacobian, weights, desired in requests(paper_arm, kind, 200, seed=51):
-        factors, _ = level_decomposition(Level(jacobian, desired, weights), np.eye(49), RANK_TOLERANCE)
+        factors, _, _ = level_decomposition(Level(jacobian, desired, weights), np.eye(49), RANK_TOLERANCE)
         assert factors.rank == 34
         truth = svd_oracle(jacobian, weights, desired)
         worst = max(worst, norm_error(eqs_12_and_14(factors, weights, desired), truth))
@@ -322,7 +322,7 @@ def test_eqs_12_and_14_equal_a_fifty_digit_solution_in_the_15_worst_of_200_poses
     poses = zip(paper_arm.general_poses(200, seed=51), requests(paper_arm, kind, 200, seed=51), strict=True)
     for q, (jacobian, weights, desired) in sorted(poses, key=lambda pose: spread(pose[1][0]))[:15]:
         assert np.array_equal(paper_arm.jacobian(q), jacobian)
-        factors, _ = level_decomposition(Level(jacobian, desired, weights), np.eye(49), RANK_TOLERANCE)
+        factors, _, _ = level_decomposition(Level(jacobian, desired, weights), np.eye(49), RANK_TOLERANCE)
         truth = exact_oracle(paper_arm, jacobian, weights, desired)
         assert norm_error(eqs_12_and_14(factors, weights, desired), truth) < ORACLE
         assert norm_error(svd_oracle(jacobian, weights, desired), truth) < ORACLE

@@ -13,6 +13,7 @@ from paper_repro.checks import STATIC, WOUND, Ours, run_static
 from paper_repro.facts import Fact, Finding, Verdict, finding, known_facts, parse, read, same, table
 from paper_repro.jobs import Job, Results
 from prioritized_ik.models import Arm
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.winding.settings import WindingSettings
 
@@ -153,7 +154,9 @@ def test_the_table_has_a_line_for_each_finding_and_the_reasons_below(found: dict
 
 def test_choices_are_read_from_the_code() -> None:
     assert read("models.Arm.radius") == Arm().radius
-    assert read("solvers.lexicographic.SolveOptions.rank_tolerance") == SolveOptions().rank_tolerance
+    assert read("solvers.lexicographic.SolveOptions.accuracy") == SolveOptions().accuracy
+    assert read("winding.settings.WindingSettings.options.rank_tolerance") == RANK_TOLERANCE
+    assert finding(fact_called("rank tolerance"), None).ours == f"rank_tolerance {RANK_TOLERANCE:g} of the largest"
     step = finding(fact_called("time step"), None)
     assert step.verdict is Verdict.NOT_STATED
     assert step.ours == f"dt {WindingSettings().dt:g} s"

@@ -10,18 +10,11 @@ from oracles import norm_error, requests, svd_oracle
 from tolerances import ORACLE, ROUNDING, SABOTAGE
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.problem import STEP_FLOOR, Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.closed_form import general_solution, rank_decomposition_svd, weighted_optimum
-from prioritized_ik.solvers.hierarchy import (
-    AMPLE,
-    DEPENDENT,
-    HARD,
-    SETTLED_ROW,
-    Hierarchy,
-    Task,
-    strict_solution,
-    whiten,
-)
+from prioritized_ik.solvers.hierarchy import AMPLE, HARD, EqualBlock, Hierarchy, SoftBlock, strict_solution
+from prioritized_ik.solvers.subspaces import range_of
+from prioritized_ik.tolerances import DEPENDENT
 from prioritized_ik.weights import FREE
 
 #: The planted problems' singular values are above 3e-3 of the largest, or zero: the cut is no matter of taste.
@@ -36,9 +29,9 @@ def hierarchy_of(seed: int) -> Hierarchy:
     return Hierarchy(random_hierarchy(seed, joints=(2, 25)).problem, CUT)
 
 
-def tasks_of(hierarchy: Hierarchy) -> list[tuple[Level, Task]]:
+def blocks_of(hierarchy: Hierarchy) -> list[tuple[Level, EqualBlock]]:
     pairs = zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)
-    return [(level, task) for level, task in pairs if task is not None]
+    return [(level, block) for level, block in pairs if isinstance(block, EqualBlock)]
 
 
 def random_level(rng: np.random.Generator, rows: int, joints: int) -> Level:
@@ -57,7 +50,7 @@ def assert_orthonormal(*bases: np.ndarray) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_felt_directions_of_all_levels_and_the_rest_are_one_orthonormal_basis_of_what_equalities_leave(seed):
     hierarchy = hierarchy_of(seed)
-    felt = [task.felt for _, task in tasks_of(hierarchy)]
+    felt = [block.felt for _, block in blocks_of(hierarchy)]
     assert_orthonormal(*felt, hierarchy.rest)
     whole = np.hstack([*felt, hierarchy.rest])
     assert whole @ whole.T == pytest.approx(hierarchy.free @ hierarchy.free.T, abs=ROUNDING)
@@ -66,59 +59,59 @@ def test_felt_directions_of_all_levels_and_the_rest_are_one_orthonormal_basis_of
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_level_feels_a_direction_that_belongs_to_one_below(seed):
     hierarchy = hierarchy_of(seed)
-    for level, task in tasks_of(hierarchy):
-        assert_orthonormal(task.felt, task.below)
-        for rows in (level.matrix, task.matrix):
+    for level, block in blocks_of(hierarchy):
+        assert_orthonormal(block.felt, block.below)
+        for rows in (level.matrix, block.matrix):
             if rows.any():
-                assert np.linalg.norm(rows @ task.below) <= ROUNDING * np.linalg.norm(rows)
+                assert np.linalg.norm(rows @ block.below) <= ROUNDING * np.linalg.norm(rows)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_level_has_what_the_one_above_leaves(seed):
     hierarchy = hierarchy_of(seed)
     free = hierarchy.free
-    for task in hierarchy.blocks:
-        if task is not None:
-            assert task.free is free
-            assert task.felt.shape[1] + task.below.shape[1] == free.shape[1]
-            free = task.below
+    for block in hierarchy.blocks:
+        if isinstance(block, EqualBlock):
+            assert block.free is free
+            assert block.felt.shape[1] + block.below.shape[1] == free.shape[1]
+            free = block.below
     assert hierarchy.rest is free
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_block_is_triangular_in_its_felt_directions_and_its_inverse_undoes_it(seed):
-    for _, task in tasks_of(hierarchy_of(seed)):
-        size, p = np.linalg.norm(task.matrix), len(task.target)
-        assert np.array_equal(task.root, np.triu(task.root))
-        assert np.abs(task.matrix @ task.felt - task.root).max(initial=0.0) <= ROUNDING * size
-        assert np.abs(task.matrix @ task.inverse - np.eye(p)).max(initial=0.0) <= ROUNDING * conditioning(task)
-        outside = task.inverse - task.felt @ (task.felt.T @ task.inverse)
-        assert np.linalg.norm(outside) <= ROUNDING * np.linalg.norm(task.inverse)
+    for _, block in blocks_of(hierarchy_of(seed)):
+        size, p = np.linalg.norm(block.matrix), len(block.target)
+        assert np.array_equal(block.root, np.triu(block.root))
+        assert np.abs(block.matrix @ block.felt - block.root).max(initial=0.0) <= ROUNDING * size
+        assert np.abs(block.matrix @ block.inverse - np.eye(p)).max(initial=0.0) <= ROUNDING * conditioning(block)
+        outside = block.inverse - block.felt @ (block.felt.T @ block.inverse)
+        assert np.linalg.norm(outside) <= ROUNDING * np.linalg.norm(block.inverse)
 
 
-def conditioning(task: Task) -> float:
+def conditioning(block: EqualBlock) -> float:
     """What rounding grows by on the way through R⁻¹: up to 5e4, with weights six decades apart."""
-    return float(np.linalg.cond(task.root)) if task.root.size else 1.0
+    return float(np.linalg.cond(block.root)) if block.root.size else 1.0
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_blocks_inverse_changes_nothing_above_it(seed):
     hierarchy = hierarchy_of(seed)
-    tasks = [task for _, task in tasks_of(hierarchy)]
-    for i, lower in enumerate(tasks):
-        for upper in tasks[:i]:
+    blocks = [block for _, block in blocks_of(hierarchy)]
+    for i, lower in enumerate(blocks):
+        for upper in blocks[:i]:
             moved = np.linalg.norm(upper.matrix @ lower.inverse)
             assert moved <= ROUNDING * np.linalg.norm(upper.matrix) * np.linalg.norm(lower.inverse)
 
 
-def cost_gaps(level: Level, task: Task, seed: int) -> list[float]:
+def cost_gaps(level: Level, block: EqualBlock, seed: int) -> list[float]:
     """By how much cost and block differ along steps that agree on all that the levels above decide, relatively."""
     rng = np.random.default_rng(seed)
-    base = rng.normal(size=len(task.free))
+    base = rng.normal(size=len(block.free))
     gaps = []
-    steps = [base + task.free @ rng.normal(size=task.free.shape[1]) for _ in range(5)]
+    steps = [base + block.free @ rng.normal(size=block.free.shape[1]) for _ in range(5)]
     costs = [level.cost(step) for step in steps]
-    blocks = [float(np.sum(task.missing(step) ** 2)) for step in steps]
+    blocks = [float(np.sum(block.missing(step) ** 2)) for step in steps]
     for i in range(1, 5):
         gaps.append(((costs[i] - costs[0]) - (blocks[i] - blocks[0])) / max(*costs, 1e-300))
     return gaps
@@ -126,44 +119,44 @@ def cost_gaps(level: Level, task: Task, seed: int) -> list[float]:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_levels_cost_is_that_of_its_block_but_for_a_constant(seed):
-    for level, task in tasks_of(hierarchy_of(seed)):
-        assert np.abs(cost_gaps(level, task, seed)).max() <= COST
+    for level, block in blocks_of(hierarchy_of(seed)):
+        assert np.abs(cost_gaps(level, block, seed)).max() <= COST
 
 
 def test_a_block_of_other_weights_has_another_cost():
     rng = np.random.default_rng(3)
     level = random_level(rng, 4, 6)
     other = Level(level.matrix, level.target, level.weights * [1.0 + SABOTAGE, 1.0, 1.0, 1.0])
-    (task,) = Hierarchy(IKProblem([level])).blocks
-    assert np.abs(cost_gaps(level, task, 0)).max() <= ROUNDING
-    assert np.abs(cost_gaps(other, task, 0)).max() > 1e3 * ROUNDING
+    (block,) = Hierarchy(IKProblem([level])).blocks
+    assert np.abs(cost_gaps(level, block, 0)).max() <= ROUNDING
+    assert np.abs(cost_gaps(other, block, 0)).max() > 1e3 * ROUNDING
 
 
 def test_what_a_block_misses_is_what_is_left_of_its_target():
     level = Level([[2.0, 0.0, 0.0], [0.0, 3.0, 0.0]], [4.0, 6.0], [1.0, 9.0])
-    (task,) = Hierarchy(IKProblem([level])).blocks
-    assert np.linalg.norm(task.missing(np.zeros(3))) == pytest.approx(np.hypot(4.0, 18.0), rel=1e-15)
-    assert np.linalg.norm(task.missing(np.array([2.0, 1.0, 7.0]))) == pytest.approx(9.0, rel=1e-15)
-    assert task.missing(np.array([2.0, 2.0, 7.0])) == pytest.approx([0.0, 0.0], abs=ROUNDING)
-    assert task.demand == pytest.approx(np.hypot(4.0, 18.0), rel=1e-15)
+    (block,) = Hierarchy(IKProblem([level])).blocks
+    assert np.linalg.norm(block.missing(np.zeros(3))) == pytest.approx(np.hypot(4.0, 18.0), rel=1e-15)
+    assert np.linalg.norm(block.missing(np.array([2.0, 1.0, 7.0]))) == pytest.approx(9.0, rel=1e-15)
+    assert block.missing(np.array([2.0, 2.0, 7.0])) == pytest.approx([0.0, 0.0], abs=ROUNDING)
+    assert block.demand == pytest.approx(np.hypot(4.0, 18.0), rel=1e-15)
 
 
 def test_a_target_out_of_reach_does_not_make_a_block_miss_anything_but_counts_as_demand():
     level = Level([[1.0, 0.0], [1.0, 0.0]], [1.0, -1.0])
-    (task,) = Hierarchy(IKProblem([level])).blocks
-    assert task.missing(np.zeros(2)) == pytest.approx([0.0], abs=ROUNDING)
-    assert task.demand == pytest.approx(np.sqrt(2.0), rel=1e-15)
-    assert task.size(10.0) >= task.demand
+    (block,) = Hierarchy(IKProblem([level])).blocks
+    assert block.missing(np.zeros(2)) == pytest.approx([0.0], abs=ROUNDING)
+    assert block.demand == pytest.approx(np.sqrt(2.0), rel=1e-15)
+    assert block.size(10.0) >= block.demand
 
 
 def test_a_level_that_the_levels_above_settle_has_an_empty_block():
     levels = [Level(np.eye(3)[:2], [1.0, 2.0]), Level([[1.0, 1.0, 0.0]], [9.0]), Level(np.zeros((2, 3)), [1.0, 1.0])]
     _, settled, blind = Hierarchy(IKProblem(levels)).blocks
-    for task in (settled, blind):
-        assert task.felt.shape == (3, 0)
-        assert task.matrix.shape == (0, 3)
-        assert task.missing(np.ones(3)).shape == (0,)
-        assert np.array_equal(task.below @ task.below.T, np.diag([0.0, 0.0, 1.0]))
+    for block in (settled, blind):
+        assert block.felt.shape == (3, 0)
+        assert block.matrix.shape == (0, 3)
+        assert block.missing(np.ones(3)).shape == (0,)
+        assert np.array_equal(block.below @ block.below.T, np.diag([0.0, 0.0, 1.0]))
 
 
 def test_soft_levels_have_no_block_and_take_no_direction():
@@ -179,7 +172,7 @@ def test_inequalities_take_no_part_in_the_cut():
     rows = Rows([[1.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0]], [0.0, 0.0])
     free, bound = Hierarchy(IKProblem([level])), Hierarchy(IKProblem([level], Bounds([-1.0] * 4, [0.0] * 4), rows))
     for name in ("free", "felt", "root", "inverse", "matrix", "target", "below"):
-        assert np.array_equal(getattr(free.tasks[0], name), getattr(bound.tasks[0], name)), name
+        assert np.array_equal(getattr(free.blocks[0], name), getattr(bound.blocks[0], name)), name
     assert np.array_equal(free.closed_form, bound.closed_form)
 
 
@@ -189,8 +182,8 @@ def test_inequalities_take_no_part_in_the_cut():
 @pytest.mark.parametrize("weights", [[1.0, 1.0], [1e12, 1.0], [1.0, 1e12], [1e-12, 1.0], [1.0, 1e-12]])
 def test_the_rank_of_a_level_is_that_of_its_matrix_whatever_its_weights(weights):
     for small, rank in ((1e-3, 2), (1e-5, 1)):
-        (task,) = Hierarchy(IKProblem([Level(np.diag([1.0, small]), [1.0, 1.0], weights)]), 1e-4).blocks
-        assert task.felt.shape[1] == rank
+        (block,) = Hierarchy(IKProblem([Level(np.diag([1.0, small]), [1.0, 1.0], weights)]), 1e-4).blocks
+        assert block.felt.shape[1] == rank
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -206,8 +199,8 @@ def test_the_directions_of_all_levels_are_the_same_whatever_the_weights(seed):
 def test_a_lower_level_counts_its_rank_against_all_that_its_matrix_can_do():
     above = Level([[1.0, 0.0]], [1.0])
     for slope, rank in ((1e-3, 1), (1e-5, 0)):
-        task = Hierarchy(IKProblem([above, Level([[1.0, slope]], [1.0])]), 1e-4).blocks[1]
-        assert task.felt.shape[1] == rank
+        block = Hierarchy(IKProblem([above, Level([[1.0, slope]], [1.0])]), 1e-4).blocks[1]
+        assert block.felt.shape[1] == rank
 
 
 @pytest.mark.parametrize("bad", [0.0, 1.0, np.nan])
@@ -342,8 +335,8 @@ def test_the_cut_problem_has_the_same_optimum_without_a_rank_tolerance() -> None
     cut = hierarchy.cut_problem
     assert norm_error(Hierarchy(problem, 1e-9).closed_form, hierarchy.closed_form) > SABOTAGE  # it matters
     assert norm_error(Hierarchy(cut, 1e-9).closed_form, hierarchy.closed_form) <= ORACLE
-    for level, task in zip(cut.levels, hierarchy.blocks, strict=True):
-        assert task is None or np.abs(level.matrix @ task.below).max() <= ROUNDING
+    for level, block in zip(cut.levels, hierarchy.blocks, strict=True):
+        assert isinstance(block, SoftBlock) or np.abs(level.matrix @ block.below).max() <= ROUNDING
     assert cut.levels[2] is problem.levels[2]
     assert cut.bounds is problem.bounds
     assert np.array_equal(cut.reference, problem.reference)
@@ -370,7 +363,7 @@ def test_a_step_is_likely_to_measure_what_half_of_the_rows_leave_where_that_is_s
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-7])
 def test_a_step_never_counts_as_shorter_than_the_floor(size):
     for parts in ({}, {"bounds": Bounds(np.full(2, -size), np.full(2, size))}):
-        assert likely_length(Level([[1.0, 0.0]], [size]), **parts) == pytest.approx(STEP_FLOOR, rel=1e-15)
+        assert likely_length(Level([[1.0, 0.0]], [size]), **parts) == pytest.approx(rel=1e-15)
 
 
 # Equalities.
@@ -541,7 +534,7 @@ def test_in_whitened_coordinates_least_squares_is_a_distance(seed):
     directions[:, 3] = directions[:, 0] + 0.5 * directions[:, 1]  # one that is no news
     directions /= np.linalg.norm(directions, axis=0)
     root, free = np.triu(rng.normal(size=(4, 4))) + 3.0 * np.eye(4), np.linalg.qr(rng.normal(size=(7, 5)))[0]
-    found = whiten(directions, root, free)
+    found = range_of(directions, root, free)
     assert found.felt.shape == (7, 3)
     assert_orthonormal(found.q)
     assert_orthonormal(found.unfelt)
@@ -558,45 +551,45 @@ def test_in_whitened_coordinates_least_squares_is_a_distance(seed):
 def test_rows_that_feel_nothing_of_what_is_free_have_no_coordinates():
     free = np.eye(3)[:, 1:]
     for directions in (np.zeros((3, 0)), np.eye(3)[:, :1]):
-        found = whiten(directions, np.eye(directions.shape[1]), free)
+        found = range_of(directions, np.eye(directions.shape[1]), free)
         assert found.felt.shape == (3, 0)
         assert found.unfelt @ found.unfelt.T == pytest.approx(free @ free.T, abs=ROUNDING)
         assert found.project(np.ones(directions.shape[1])).shape == (0,)
-    nothing = whiten(np.eye(3), np.eye(3), np.zeros((3, 0)))
+    nothing = range_of(np.eye(3), np.eye(3), np.zeros((3, 0)))
     assert (nothing.felt.shape, nothing.unfelt.shape) == ((3, 0), (3, 0))
 
 
 def test_directions_that_differ_by_less_than_the_angle_given_count_as_one():
     for angle, rank in ((1e-8, 2), (1e-10, 1)):
         directions = np.array([[1.0, 1.0], [0.0, angle]])
-        assert whiten(directions, np.eye(2), np.eye(2)).felt.shape[1] == rank
-        assert whiten(directions, np.eye(2), np.eye(2), dependent=1e-6).felt.shape[1] == 1
+        assert range_of(directions, np.eye(2), np.eye(2)).felt.shape[1] == rank
+        assert range_of(directions, np.eye(2), np.eye(2), dependent=1e-6).felt.shape[1] == 1
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_block_within_fewer_directions_is_that_of_the_same_cost(seed):
     rng = np.random.default_rng(seed)
-    for _, task in tasks_of(hierarchy_of(seed)):
-        f = task.free.shape[1]
+    for _, block in blocks_of(hierarchy_of(seed)):
+        f = block.free.shape[1]
         if f < 2:
             continue
-        free = task.free @ np.linalg.qr(rng.normal(size=(f, f - 1)))[0]
-        found = task.within(free)
+        free = block.free @ np.linalg.qr(rng.normal(size=(f, f - 1)))[0]
+        found = block.within(free)
         assert found.felt.shape[1] + found.unfelt.shape[1] == f - 1
-        assert np.linalg.norm(task.matrix @ found.unfelt) <= ROUNDING * np.linalg.norm(task.matrix)
+        assert np.linalg.norm(block.matrix @ found.unfelt) <= ROUNDING * np.linalg.norm(block.matrix)
         if found.felt.shape[1]:
-            moved = task.matrix @ found.felt
-            assert moved.T @ moved == pytest.approx(np.eye(found.felt.shape[1]), abs=ROUNDING * conditioning(task))
+            moved = block.matrix @ found.felt
+            assert moved.T @ moved == pytest.approx(np.eye(found.felt.shape[1]), abs=ROUNDING * conditioning(block))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_within_all_that_it_has_a_block_is_itself(seed):
-    for _, task in tasks_of(hierarchy_of(seed)):
-        own, copy = task.within(task.free), task.within(task.free.copy())
-        assert own.felt is task.inverse
-        assert own.unfelt is task.below
-        assert copy.unfelt @ copy.unfelt.T == pytest.approx(task.below @ task.below.T, abs=ROUNDING)
-        size = np.linalg.norm(task.inverse) ** 2
+    for _, block in blocks_of(hierarchy_of(seed)):
+        own, copy = block.within(block.free), block.within(block.free.copy())
+        assert own.felt is block.inverse
+        assert own.unfelt is block.below
+        assert copy.unfelt @ copy.unfelt.T == pytest.approx(block.below @ block.below.T, abs=ROUNDING)
+        size = np.linalg.norm(block.inverse) ** 2
         assert copy.felt @ copy.felt.T == pytest.approx(own.felt @ own.felt.T, abs=ROUNDING * size)
 
 
@@ -607,19 +600,19 @@ def test_within_all_that_it_has_a_block_is_itself(seed):
 def test_a_block_that_is_wrong_by_a_thousandth_in_any_part_is_found_out(part):
     rng = np.random.default_rng(9)
     hierarchy = Hierarchy(IKProblem([random_level(rng, 3, 6), random_level(rng, 2, 6)]))
-    level, task = tasks_of(hierarchy)[1]
-    right = getattr(task, part)
-    wrong = replace(task, **{part: right + SABOTAGE * rng.normal(size=right.shape) * np.abs(right).max()})
+    level, block = blocks_of(hierarchy)[1]
+    right = getattr(block, part)
+    wrong = replace(block, **{part: right + SABOTAGE * rng.normal(size=right.shape) * np.abs(right).max()})
 
-    def errors(task: Task) -> tuple[float, ...]:
-        whole = np.hstack([task.felt, task.below])
+    def errors(block: EqualBlock) -> tuple[float, ...]:
+        whole = np.hstack([block.felt, block.below])
         return (
             np.abs(whole.T @ whole - np.eye(whole.shape[1])).max(),
-            np.abs(task.matrix @ task.felt - task.root).max(),
-            np.abs(task.matrix @ task.inverse - np.eye(2)).max(),
-            np.abs(task.matrix @ task.below).max(),
-            np.abs(cost_gaps(level, task, 0)).max(),
+            np.abs(block.matrix @ block.felt - block.root).max(),
+            np.abs(block.matrix @ block.inverse - np.eye(2)).max(),
+            np.abs(block.matrix @ block.below).max(),
+            np.abs(cost_gaps(level, block, 0)).max(),
         )
 
-    assert max(errors(task)) <= ROUNDING * conditioning(task) * np.linalg.norm(task.matrix)
+    assert max(errors(block)) <= ROUNDING * conditioning(block) * np.linalg.norm(block.matrix)
     assert max(errors(wrong)) > 1e-2 * SABOTAGE

@@ -17,7 +17,7 @@ from robots import HUMANOID, ROBOTS, Scene, robot_steps
 from tolerances import ROUNDING
 from units import physical, reposed
 
-from prioritized_ik.problem import IKProblem, Level, step_scale
+from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
 from prioritized_ik.solvers.step import JointStep, StepStatus
@@ -86,7 +86,7 @@ def posed_and_solved(source: str, seed: int) -> tuple[IKProblem, JointStep]:
 
 
 def difference(step: np.ndarray, wanted: np.ndarray) -> float:
-    return float(np.linalg.norm(step - wanted) / step_scale(wanted))
+    return float(np.linalg.norm(step - wanted) / (np.linalg.norm(wanted) or 1.0))
 
 
 @dataclass

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import scipy.optimize
-from prioritized_ik.solvers.subspaces import directions_left, nonnegative_least_squares
 from tolerances import ROUNDING
 
 from prioritized_ik.solvers import subspaces
-from prioritized_ik.solvers.hierarchy import SETTLED_ROW
+from prioritized_ik.solvers.subspaces import directions_left, nonnegative_least_squares, null_space
 
-NARROW = 1e-9  # what the certificate asks with
+NARROW = 1e-9  # far above rounding, far below any wedge of small whole numbers
+SETTLED = 1e-9  # what a row may move by and count as settled
 STRICT = 1e-6  # of a unit box: rows of small whole numbers that can be left at all can be left by far more
 
 
@@ -20,7 +20,7 @@ def unit(rows: object) -> np.ndarray:
 
 def left(rows: object, narrow: float = NARROW) -> np.ndarray:
     """The projector onto what tight `rows`, of any length, leave of three directions."""
-    free = directions_left(np.eye(3), unit(rows), narrow)
+    free = directions_left(np.eye(3), unit(rows), narrow, SETTLED)
     assert free.T @ free == pytest.approx(np.eye(free.shape[1]), abs=ROUNDING)
     return free @ free.T
 
@@ -61,33 +61,33 @@ def test_the_order_of_rows_does_not_matter(rows, projector):
 
 def test_the_directions_left_are_orthonormal_and_move_no_cancelling_row():
     rows = unit([[1.0, 2.0, 0.5], [-1.0, -2.0, -0.5]])
-    free = directions_left(np.eye(3), rows, NARROW)
+    free = directions_left(np.eye(3), rows, NARROW, SETTLED)
     assert free.T @ free == pytest.approx(np.eye(2), abs=1e-15)
     assert np.abs(rows @ free).max() <= 1e-15
 
 
 def test_where_nothing_cancels_the_free_directions_are_handed_back_as_they_are():
     free = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 2)))[0]
-    assert directions_left(free, unit([X, Y]), NARROW) is free
-    assert directions_left(free, np.zeros((0, 3)), NARROW) is free
+    assert directions_left(free, unit([X, Y]), NARROW, SETTLED) is free
+    assert directions_left(free, np.zeros((0, 3)), NARROW, SETTLED) is free
     nothing = np.zeros((3, 0))
-    assert directions_left(nothing, unit([X, -X]), NARROW) is nothing
+    assert directions_left(nothing, unit([X, -X]), NARROW, SETTLED) is nothing
 
 
 def test_only_what_is_free_counts():
     # Apart in space, opposite within the plane that is left.
     rows = unit([[1.0, 0.0, 3.0], [-1.0, 0.0, 5.0]])
-    assert directions_left(np.eye(3), rows, NARROW).shape == (3, 3)
-    within = directions_left(np.eye(3)[:, :2], rows, NARROW)
+    assert directions_left(np.eye(3), rows, NARROW, SETTLED).shape == (3, 3)
+    within = directions_left(np.eye(3)[:, :2], rows, NARROW, SETTLED)
     assert np.abs(within) == pytest.approx(np.array([[0.0], [1.0], [0.0]]), abs=ROUNDING)
 
 
-@pytest.mark.parametrize("rest", [0.1 * SETTLED_ROW, 10.0 * SETTLED_ROW])
+@pytest.mark.parametrize("rest", [0.1 * SETTLED, 10.0 * SETTLED])
 def test_a_row_that_hardly_moves_along_what_is_free_is_no_row(rest):
     # Two rows that the directions above have settled; what is left of them is opposite.
     rows = unit([[1.0, rest, 0.0], [1.0, -rest, 0.0]])
-    found = directions_left(np.eye(3)[:, 1:], rows, NARROW)
-    assert found.shape[1] == (2 if rest < SETTLED_ROW else 1)
+    found = directions_left(np.eye(3)[:, 1:], rows, NARROW, SETTLED)
+    assert found.shape[1] == (2 if rest < SETTLED else 1)
 
 
 @pytest.mark.parametrize("angle", [1e-3, 1e-6])
@@ -124,7 +124,7 @@ def random_cone(seed: int) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("seed", range(60))
 def test_the_directions_left_are_those_that_move_no_row_which_must_stay_tight(seed):
     rows, free = random_cone(seed)
-    found = directions_left(free, rows, NARROW)
+    found = directions_left(free, rows, NARROW, SETTLED)
     held = rows[stay_tight(rows, free)] @ free
     _, s, vt = np.linalg.svd(held, full_matrices=True)
     wanted = free @ vt[np.count_nonzero(s > STRICT) :].T
@@ -143,7 +143,7 @@ def test_rows_that_vanish_in_a_combination_with_one_negative_factor_leave_every_
     # Sabotage of the oracle's own claim: x + y, -x, and y with -(x + y) - (-x) + y = 0 need not stay tight.
     rows = unit([[1.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     assert not stay_tight(rows, np.eye(3)).any()
-    assert directions_left(np.eye(3), rows, NARROW).shape == (3, 3)
+    assert directions_left(np.eye(3), rows, NARROW, SETTLED).shape == (3, 3)
     assert stay_tight(unit([X, -X, Y]), np.eye(3)).tolist() == [True, True, False]
 
 
@@ -166,8 +166,8 @@ def test_a_combination_that_is_not_found_is_none_at_all_and_infinitely_far(monke
     def gives_up(matrix, target):
         raise RuntimeError("Maximum number of iterations reached.")
 
-    monkeypatch.setattr(cones.scipy.optimize, "nnls", gives_up)
+    monkeypatch.setattr(subspaces.scipy.optimize, "nnls", gives_up)
     x, distance = nonnegative_least_squares(np.ones((3, 2)), np.ones(3))
     assert (x.tolist(), distance) == ([0.0, 0.0], np.inf)
     # So that rows of which it is not known whether they leave room are no equalities.
-    assert directions_left(np.eye(3), unit([X, -X]), NARROW).shape == (3, 3)
+    assert directions_left(np.eye(3), unit([X, -X]), NARROW, SETTLED).shape == (3, 3)

@@ -15,6 +15,7 @@ from .problem import Level as Level
 from .problem import Rows as Rows
 from .touch import TouchSensor as TouchSensor
 from .limits import contact_rows as contact_rows
+from .limits import joint_metric as joint_metric
 from .limits import joint_range_bounds as joint_range_bounds
 from .limits import step_bounds as step_bounds
 

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Rows
 from prioritized_ik.touch import Touch, TouchSensor
-from prioritized_ik.validation import finite_array, non_negative, positive
+from prioritized_ik.validation import Array, finite_array, non_negative, positive
 
 _SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 OUTSIDE = 1e-4  # [rad] a joint this far outside its range is rounding of accepted steps; further is an error
@@ -21,6 +21,27 @@ def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
         several = np.count_nonzero(model.dof_jntid == joint) > 1
         names.append(f"{name}[{dof - model.jnt_dofadr[joint] + 1}]" if several else name)
     return tuple(names)
+
+
+def joint_metric(model: mujoco.MjModel, length: float | None = None) -> Array:
+    """Return a diagonal metric `(m,)` for `IKProblem(metric=…)` in which metres and radians are of one size.
+
+    1 for hinges and balls [rad⁻²]; 1 / `length`² for slides and the translation of a free base [m⁻²], so that a slide
+    of one `length` weighs as much as a turn of one radian.
+
+    Args:
+        model: the MuJoCo model.
+        length: [m]; half the model's extent unless given: about how far a turn of one radian moves the points on it.
+
+    Raises:
+        InputError: a length that is not positive.
+    """
+    size = positive("length", 0.5 * float(model.stat.extent) if length is None else length)
+    kinds = model.jnt_type[model.dof_jntid]
+    place = np.arange(model.nv) - model.jnt_dofadr[model.dof_jntid]
+    free, slide = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+    translates = (kinds == slide) | ((kinds == free) & (place < 3))
+    return np.where(translates, 1.0 / size**2, 1.0)
 
 
 def joint_range_bounds(model: mujoco.MjModel, q: ArrayLike) -> Bounds:

@@ -75,7 +75,8 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
         blocking = ~active & (rate > room + KEPT * hierarchy.scale(target))
         if blocking.any():
             # Ratio test: how far towards the target each blocking row lets go.
-            reach = np.where(blocking, np.maximum(room, 0.0), np.inf) / np.where(blocking, rate, 1.0)
+            ahead = blocking & (rate > 0.0)  # the others are broken already, and would stay so
+            reach = np.where(blocking, np.where(ahead, np.maximum(room, 0.0), 0.0), np.inf) / np.where(ahead, rate, 1.0)
             first = float(reach.min())
             u = u + first * (target - u)
             note("add", reach <= first)

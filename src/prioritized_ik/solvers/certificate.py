@@ -12,8 +12,9 @@ without harm to those above:
     Q_ℓ(u) - Q_ℓ* <= 2 λᵀ slack + 2 Σ |λ_i| leak_i + ‖rest‖²,
 
 with leak_i how far a row that a level above holds can move without costing that level more than its own gap, and the rest
-counted in coordinates in which Q_ℓ is ‖·‖² (along directions that the level does not feel: times the size of the step). Where the levels above are flat to rounding, the step may be off by v, and the
-level's cost by 2 ‖A_ℓᵀW_ℓ(A_ℓ u - b_ℓ)‖ v + ‖W_ℓ^½ A_ℓ‖² v² more. So complementary slackness is part of the bound: a row that is merely near
+counted in coordinates in which Q_ℓ is ‖·‖² (along directions that the level does not feel: times the size of the step).
+Where the levels above are decided to rounding only, the step may be off by v, and the level's cost by
+2 ‖A_ℓᵀW_ℓ(A_ℓ u - b_ℓ)‖ v + ‖W_ℓ^½ A_ℓ‖² v² more. So complementary slackness is part of the bound: a row merely near
 cannot carry a multiplier for nothing. What the conditions leave over is told as a joint displacement too, because a level
 may hardly feel what decides the step.
 
@@ -103,7 +104,7 @@ class Certificate:
     Attributes:
         violation: worst violation of a hard row, bound or equality, relative to the step.
         gaps: by level, how much lower its cost (Eq. 10) could be, in its own units, squared.
-        relative_gaps: the part that rounding does not explain, relative to what the level asks for or to its error, squared.
+        relative_gaps: the part that rounding does not explain, relative to what the level asks for or its error, squared.
         stationarity: by level, how much of a step would still lower its cost, beyond what `rounding` explains.
         rounding: by level, how much of a step the rounding of the conditions' own terms can feign.
         held_by: by level, the names of the rows that hold it back (their multipliers are positive).

@@ -1,7 +1,7 @@
 """Damped levels that leave something to those below.
 
-A level with damping δ minimises its cost + δ ‖dθ‖². As rows of the level, √δ dθ = 0, the damping would decide every joint and
-leave nothing to the levels below (`below="hold"`). With `below="free"` the damped optimum of the level, under all levels
+A level with damping δ minimises its cost + δ ‖dθ‖². As rows of the level, √δ dθ = 0, the damping would decide every joint
+and leave nothing to the levels below (`below="hold"`). With `below="free"` the level's damped optimum, under all levels
 above and every hard row, is computed first, and the level then asks for what that reaches: A dθ = A dθ_δ. Its share of weak
 directions stays as calm as the damping makes it, and every motion that does not change A dθ is left to the levels below.
 """

@@ -270,15 +270,15 @@ class Hierarchy:
 
     @cached_property
     def length(self) -> float:
-        """What the step may measure: the closed form, or the median of the rows' slacks if it is less, with room."""
+        """What the step may measure, with room: the closed form or the way out of broken rows; the median slack if less."""
         slack = self.rows.slack(self.start)
+        likely = max(length(self.closed_form), float(-slack.min(initial=0.0)))
         slack = np.sort(slack[slack > 0.0])
-        likely = length(self.closed_form)
         return AMPLE * (min(likely, float(slack[len(slack) // 2])) if len(slack) else likely) or 1.0
 
     @cached_property
     def cut_problem(self) -> IKProblem:
-        """The problem in its metric, each `equal` level's matrix cut to its rank, for solvers that know no rank tolerance."""
+        """The problem in its metric, `equal` levels cut to their rank, for solvers that know no rank tolerance."""
         levels = (
             level if isinstance(block, SoftBlock) else replaced(level, matrix=_without(level.matrix, block.below))
             for level, block in zip(self.problem.levels, self.blocks, strict=True)
@@ -322,8 +322,7 @@ def impossible_rows(problem: IKProblem, allowed: float) -> tuple[str, ...]:
 
 
 def _without_rounding(problem: IKProblem) -> tuple[IKProblem, tuple[str, ...], list[NDArray[np.int_]]]:
-    """Return a problem in its metric without rows that mean nothing, the names of those that are rounding, and which rows
-    of each level are left.
+    """Return a problem without rows that mean nothing, the names of those that are rounding, and each level's rows left.
 
     Damping becomes rows of the level, √δ u = 0.
     """

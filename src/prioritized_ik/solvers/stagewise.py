@@ -19,7 +19,7 @@ from prioritized_ik.solvers.subspaces import null_space
 from prioritized_ik.tolerances import DEPENDENT, FEASIBLE
 from prioritized_ik.validation import Array, lengths
 
-#: A multiplier above this fraction of the largest fixes its row. Too large only leaves an inequality where an equality would do.
+#: A multiplier above this fraction of the largest fixes its row; below, it stays an inequality, which does no harm.
 FIXING = 1e-7
 FAINT = 1e-9  # of a stage's unit: a multiplier below this is none
 NEGATIVE = 1e-11  # of the gradient: a multiplier below minus this is negative
