@@ -64,7 +64,7 @@ def sampled(episode: Episode, step: int, rank_tolerance: float) -> Sampled:
     return Sampled(
         step,
         episode.problem(step),  # afresh: what a problem computes of itself it keeps, and would be sent along
-        hierarchy.cut_problem.levels[0],
+        _cut(level, hierarchy.blocks[0].below),
         episode.q[step],
         dtheta,
         resulting_displacement(factors.j_a, level.weights, level.target),
@@ -77,6 +77,11 @@ def sample(episode: Episode, count: int, rank_tolerance: float) -> list[Sampled]
     """Return up to `count` problems of an episode: those that `chosen` chooses."""
     steps = chosen(free_steps(episode, rank_tolerance), count)
     return [sampled(episode, step, rank_tolerance) for step in steps]
+
+
+def _cut(level: Level, unfelt: Array) -> Level:
+    """Return the level with nothing felt along orthonormal directions `(m, f)`; rows that are rounding stay in it."""
+    return Level(level.matrix - (level.matrix @ unfelt) @ unfelt.T, level.target, level.weights, level.name, level.kind)
 
 
 def _spread(items: list[int], count: int) -> list[int]:

@@ -13,8 +13,7 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.closed_form import general_solution, rank_decomposition_svd, weighted_optimum
 from prioritized_ik.solvers.hierarchy import AMPLE, HARD, EqualBlock, Hierarchy, SoftBlock, strict_solution
-from prioritized_ik.solvers.subspaces import range_of
-from prioritized_ik.tolerances import DEPENDENT
+from prioritized_ik.tolerances import DEPENDENT, FLOOR, NOISE
 from prioritized_ik.weights import FREE
 
 #: The planted problems' singular values are above 3e-3 of the largest, or zero: the cut is no matter of taste.
@@ -146,7 +145,37 @@ def test_a_target_out_of_reach_does_not_make_a_block_miss_anything_but_counts_as
     (block,) = Hierarchy(IKProblem([level])).blocks
     assert block.missing(np.zeros(2)) == pytest.approx([0.0], abs=ROUNDING)
     assert block.demand == pytest.approx(np.sqrt(2.0), rel=1e-15)
-    assert block.size(10.0) >= block.demand
+
+
+def test_a_blocks_shortfall_is_the_gradient_of_half_its_cost_and_tells_how_large_its_terms_are():
+    rng = np.random.default_rng(4)
+    level = random_level(rng, 3, 5)
+    hierarchy = Hierarchy(IKProblem([level]))
+    (block,) = hierarchy.blocks
+    none = np.zeros(0)
+    for u in rng.normal(size=(5, 5)):
+        found = block.shortfall(hierarchy.rows, none, none.astype(bool), u, block.free)
+        gradient = found.felt.felt.T @ level.matrix.T @ (level.weights * (level.matrix @ u - level.target))
+        assert found.gradient == pytest.approx(gradient, rel=1e-12, abs=ROUNDING * found.size)
+        assert (found.terms >= np.abs(found.gradient) * (1.0 - ROUNDING)).all()
+        assert found.size >= block.demand
+        assert np.linalg.norm(found.gradient) <= found.size
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_block_aimed_at_another_target_is_that_of_a_fresh_factorisation(seed):
+    rng = np.random.default_rng(seed)
+    levels = [random_level(rng, 2, 7), Level(rng.normal(size=(4, 2)) @ rng.normal(size=(2, 7)), rng.normal(size=4))]
+    other = [Level(one.matrix, rng.normal(size=len(one.target)), one.weights) for one in levels]
+    blocks, fresh = (Hierarchy(IKProblem(some)).blocks for some in (levels, other))
+    for level, block, truth in zip(other, blocks, fresh, strict=True):
+        aimed = block.aimed(level.target, level.weights)
+        for name in ("free", "felt", "root", "inverse", "matrix", "whitening", "below", "target", "terms"):
+            assert np.array_equal(getattr(aimed, name), getattr(truth, name)), name
+        assert aimed.demand == pytest.approx(truth.demand, rel=1e-15)
+        assert aimed.settled == truth.settled
+        assert aimed.root is block.root
+        assert not np.array_equal(aimed.target, block.target)
 
 
 def test_a_level_that_the_levels_above_settle_has_an_empty_block():
@@ -159,11 +188,14 @@ def test_a_level_that_the_levels_above_settle_has_an_empty_block():
         assert np.array_equal(block.below @ block.below.T, np.diag([0.0, 0.0, 1.0]))
 
 
-def test_soft_levels_have_no_block_and_take_no_direction():
+def test_soft_levels_take_no_direction():
     levels = [Level(np.eye(3), np.ones(3), kind="at_most"), Level([[1.0, 0.0, 0.0]], [1.0])]
     hierarchy = Hierarchy(IKProblem(levels))
-    assert hierarchy.blocks[0] is None
-    assert hierarchy.blocks[1].free.shape == (3, 3)
+    soft, block = hierarchy.blocks
+    assert isinstance(soft, SoftBlock)
+    assert soft.is_soft and not block.is_soft
+    assert soft.below is block.free is hierarchy.free
+    assert soft.demand == pytest.approx(np.sqrt(3.0), rel=1e-15)
     assert hierarchy.rest.shape == (3, 2)
 
 
@@ -203,7 +235,7 @@ def test_a_lower_level_counts_its_rank_against_all_that_its_matrix_can_do():
         assert block.felt.shape[1] == rank
 
 
-@pytest.mark.parametrize("bad", [0.0, 1.0, np.nan])
+@pytest.mark.parametrize("bad", [-1e-9, 1.0, np.nan])
 def test_a_rank_tolerance_out_of_range_is_refused(bad):
     with pytest.raises(InputError, match=f"rank_tolerance is {bad}; expected a number above 0 and below 1"):
         Hierarchy(IKProblem([Level(np.eye(2), np.ones(2))]), bad)
@@ -360,10 +392,22 @@ def test_a_step_is_likely_to_measure_what_half_of_the_rows_leave_where_that_is_s
     assert likely_length(level, bounds=Bounds([0.0, 0.1], [0.3, 0.2]), **far) == pytest.approx(0.3, rel=1e-15)
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-7])
-def test_a_step_never_counts_as_shorter_than_the_floor(size):
-    for parts in ({}, {"bounds": Bounds(np.full(2, -size), np.full(2, size))}):
-        assert likely_length(Level([[1.0, 0.0]], [size]), **parts) == pytest.approx(rel=1e-15)
+@pytest.mark.parametrize("size", [1e-12, 1e-7, 1.0, 1e9])
+def test_a_step_of_any_size_is_likely_to_measure_what_it_does(size):
+    for parts in ({}, {"bounds": Bounds(np.full(2, -2.0 * size), np.full(2, 2.0 * size))}):
+        assert likely_length(Level([[1.0, 0.0]], [size]), **parts) == pytest.approx(size, rel=1e-15)
+
+
+def test_where_nothing_is_asked_for_the_unit_is_one():
+    assert Hierarchy(IKProblem([Level([[1.0, 0.0]], [0.0])])).length == 1.0
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+def test_figures_of_a_step_count_against_its_length_and_of_one_near_zero_against_a_billionth_of_what_is_asked_for(size):
+    hierarchy = Hierarchy(IKProblem([Level([[1.0, 0.0]], [size])]))
+    assert hierarchy.scale(size * np.array([3.0, 4.0])) == pytest.approx(5.0 * size, rel=1e-15)
+    for u in (np.zeros(2), np.array([0.0, 1e-12 * size])):
+        assert hierarchy.scale(u) == pytest.approx(FLOOR * size, rel=1e-15)
 
 
 # Equalities.
@@ -401,12 +445,13 @@ def test_equalities_that_say_the_same_twice_change_nothing(length):
     assert twice.closed_form == pytest.approx(once.closed_form, abs=ROUNDING)
 
 
-def test_equalities_of_any_length_count_alike():
+def test_equalities_of_any_length_above_the_noise_count_alike():
     matrix, target = np.random.default_rng(7).normal(size=(3, 5)), np.array([1.0, -2.0, 0.5])
-    scales = np.array([1e-8, 1.0, 1e8])
+    scales = np.array([1e-5, 1.0, 1e6])
     one, other = with_equalities(matrix, target, 5), with_equalities(scales[:, None] * matrix, scales * target, 5)
     assert other.start == pytest.approx(one.start, abs=ROUNDING)
     assert other.free.shape == (5, 2)
+    assert other.zeros == ()
 
 
 def test_equalities_that_contradict_each_other_are_kept_as_far_as_they_can_be():
@@ -425,6 +470,145 @@ def test_equalities_of_zeros_say_nothing():
 def test_equalities_that_are_nearly_parallel_are_one_below_rounding_and_two_above():
     for angle, left in ((10.0 * DEPENDENT, 1), (0.1 * DEPENDENT, 2)):
         assert with_equalities([[1.0, 0.0, 0.0], [1.0, angle, 0.0]], [1.0, 1.0], 3).free.shape[1] == left
+
+
+def test_equalities_that_differ_by_less_than_what_counts_are_kept_in_the_middle():
+    hierarchy = with_equalities([[1.0, 0.0], [1.0, 0.1 * DEPENDENT]], [1.0, 1.0 + 1e-9], 2)
+    assert hierarchy.start == pytest.approx([1.0 + 0.5e-9, 0.0], abs=ROUNDING)
+    assert hierarchy.free.shape == (2, 1)
+
+
+# Frozen joints.
+
+
+def with_frozen(lower: object, upper: object, **parts: object) -> Hierarchy:
+    return Hierarchy(IKProblem([Level([[1.0, 1.0, 1.0]], [6.0])], Bounds(lower, upper, ["hip", "knee", "ankle"]), **parts))
+
+
+def test_a_frozen_joint_is_an_equality():
+    hierarchy = with_frozen([-9.0, 2.0, -9.0], [9.0, 2.0, 9.0])
+    assert np.array_equal(hierarchy.start, [0.0, 2.0, 0.0])
+    assert hierarchy.free @ hierarchy.free.T == pytest.approx(np.diag([1.0, 0.0, 1.0]), abs=ROUNDING)
+    assert hierarchy.closed_form == pytest.approx([2.0, 2.0, 2.0], abs=ROUNDING)
+    assert hierarchy.closed_form[1] == 2.0
+
+
+def test_frozen_joints_and_equalities_are_kept_together():
+    hierarchy = with_frozen([-9.0, 2.0, -9.0], [9.0, 2.0, 9.0], equalities=Equalities([[1.0, 1.0, 0.0]], [3.0]))
+    assert hierarchy.start == pytest.approx([1.0, 2.0, 0.0], abs=ROUNDING)
+    assert hierarchy.free.shape == (3, 1)
+    assert hierarchy.closed_form == pytest.approx([1.0, 2.0, 3.0], abs=ROUNDING)
+
+
+def test_where_all_joints_are_frozen_nothing_is_free():
+    hierarchy = with_frozen([1.0, 2.0, 0.0], [1.0, 2.0, 0.0])
+    assert hierarchy.free.shape == (3, 0)
+    assert np.array_equal(hierarchy.closed_form, [1.0, 2.0, 0.0])
+
+
+def test_a_frozen_joint_is_the_same_as_the_equality_that_says_so():
+    rng = np.random.default_rng(12)
+    levels, reference = [random_level(rng, 2, 5), random_level(rng, 2, 5)], rng.normal(size=5)
+    lower = np.array([-np.inf, 0.3, -np.inf, -0.1, -np.inf])
+    frozen = Bounds(lower, np.where(np.isfinite(lower), lower, np.inf))
+    equal = Equalities(np.eye(5)[[1, 3]], [0.3, -0.1])
+    one = Hierarchy(IKProblem(levels, frozen, reference=reference))
+    other = Hierarchy(IKProblem(levels, equalities=equal, reference=reference))
+    assert one.closed_form == pytest.approx(other.closed_form, abs=ORACLE)
+
+
+# Rows that mean nothing.
+
+
+MEANINGLESS = {
+    "an empty level": Level(np.zeros((0, 4)), []),
+    "an empty soft level": Level(np.zeros((0, 4)), [], kind="at_most"),
+    "a level without weight": Level(np.ones((2, 4)), [9.0, -9.0], [0.0, 0.0]),
+    "a soft level without weight": Level(np.ones((2, 4)), [-9.0, -9.0], [0.0, 0.0], kind="at_most"),
+    "a soft level without a finite side": Level(np.ones((2, 4)), [np.inf, np.inf], kind="at_most"),
+    "a level of zeros": Level(np.zeros((2, 4)), [9.0, -9.0]),
+}
+
+
+@pytest.mark.parametrize("nothing", MEANINGLESS.values(), ids=MEANINGLESS.keys())
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_a_level_that_means_nothing_changes_no_closed_form_wherever_it_stands(nothing, place):
+    rng = np.random.default_rng(13)
+    levels, reference = [random_level(rng, 1, 4), random_level(rng, 2, 4)], rng.normal(size=4)
+    without = Hierarchy(IKProblem(levels, reference=reference))
+    hierarchy = Hierarchy(IKProblem([*levels[:place], nothing, *levels[place:]], reference=reference))
+    assert np.array_equal(hierarchy.closed_form, without.closed_form)
+    assert hierarchy.rows.names == ()
+    assert hierarchy.zeros == ()
+
+
+def test_rows_of_weight_zero_are_as_good_as_left_out():
+    rng = np.random.default_rng(14)
+    level = random_level(rng, 4, 6)
+    weights = level.weights * [1.0, 0.0, 1.0, 0.0]
+    one = Hierarchy(IKProblem([Level(level.matrix, level.target, weights)]))
+    other = Hierarchy(IKProblem([Level(level.matrix[::2], level.target[::2], level.weights[::2])]))
+    assert one.rest.shape == (6, 4)
+    assert np.array_equal(one.closed_form, other.closed_form)
+
+
+def test_soft_rows_that_are_left_keep_their_numbers():
+    level = Level(np.eye(4), [1.0, np.inf, 2.0, 3.0], [1.0, 1.0, 0.0, 1.0], "room", "at_most")
+    rows = Hierarchy(IKProblem([level])).rows
+    assert rows.names == ("room row 1", "room row 4")
+    assert rows.upper.tolist() == [1.0, 3.0]
+
+
+def test_without_any_level_the_step_is_the_reference_as_far_as_equalities_allow():
+    assert np.array_equal(Hierarchy(IKProblem([], reference=[1.0, 2.0])).closed_form, [1.0, 2.0])
+    hierarchy = Hierarchy(IKProblem([], equalities=Equalities([[1.0, 1.0]], [1.0]), reference=[1.0, 2.0]))
+    assert hierarchy.closed_form == pytest.approx([0.0, 1.0], abs=ROUNDING)
+    assert hierarchy.blocks == []
+
+
+@pytest.mark.parametrize("size", [1e-17, 1e-14, 0.9e-12])
+def test_rows_of_rounding_beside_rows_of_one_are_left_out_and_named(size):
+    rng = np.random.default_rng(15)
+    level, extra = random_level(rng, 2, 5), size * np.eye(5)[:1]
+    whole = np.vstack([level.matrix / np.linalg.norm(level.matrix, axis=1)[:, None], extra])
+    levels = [
+        Level(whole, [*level.target, 1.0], name="reach"),
+        Level(extra, [-1.0], name="room", kind="at_most"),
+        Level(extra, [1.0], name="posture"),
+    ]
+    problem = IKProblem(levels, rows=Rows(extra, [1.0], ["contact"]), equalities=Equalities(extra, [0.0], ["hold"]))
+    hierarchy = Hierarchy(problem)
+    assert hierarchy.zeros == ("reach row 3", "room row 1", "posture row 1", "contact", "hold")
+    assert hierarchy.rows.names == ()
+    without = Hierarchy(IKProblem([Level(whole[:2], level.target)]))
+    assert np.array_equal(hierarchy.closed_form, without.closed_form)
+    assert hierarchy.impossible == ()
+
+
+def test_rows_just_above_rounding_count():
+    levels = [Level([[1.0, 0.0], [0.0, 1.1e-12]], [1.0, 1.1e-12])]
+    hierarchy = Hierarchy(IKProblem(levels))
+    assert hierarchy.zeros == ()
+    assert hierarchy.closed_form == pytest.approx([1.0, 1.0], rel=1e-12)
+
+
+def test_of_noisier_data_more_is_rounding():
+    level = Level([[1.0, 0.0], [0.0, 1e-7]], [1.0, 1.0], name="reach")
+    assert Hierarchy(IKProblem([level], noise=1e-6)).zeros == ("reach row 2",)
+    assert Hierarchy(IKProblem([level])).zeros == ()
+
+
+def test_rows_of_rounding_whose_sides_no_step_can_keep_are_named_as_impossible():
+    rows = Rows([[1e-17, 0.0], [1.0, 0.0]], [-1.0, 5.0], ["never", "floor"])
+    fixed = Equalities([[0.0, 1e-17]], [2.0], ["hold"])
+    assert Hierarchy(IKProblem([Level(np.eye(2), np.ones(2))], rows=rows, equalities=fixed)).impossible == ("never", "hold")
+
+
+def test_rows_of_nothing_but_zeros_are_left_out_without_a_word():
+    level = Level([[1.0, 0.0], [0.0, 0.0]], [1.0, 5.0])
+    problem = IKProblem([level], rows=Rows(np.zeros((1, 2)), [1.0]), equalities=Equalities(np.zeros((1, 2)), [0.0]))
+    assert Hierarchy(problem).zeros == ()
+    assert Hierarchy(problem).closed_form == pytest.approx([1.0, 0.0], abs=ROUNDING)
 
 
 # Rows.
@@ -483,36 +667,61 @@ def test_pooled_rows_and_what_is_cut_from_them_are_the_rows_themselves(seed):
     matrix, side, lengths = matrix[lengths > 0.0], side[lengths > 0.0], lengths[lengths > 0.0]
     assert (rows.matrix + rows.drift) * lengths[:, None] == pytest.approx(matrix, abs=ROUNDING * max(lengths, default=1.0))
     assert np.linalg.norm(rows.matrix, axis=1) == pytest.approx(np.ones(len(side)), abs=ROUNDING)
-    assert np.linalg.norm(rows.drift, axis=1).max(initial=0.0) <= SETTLED_ROW
+    assert np.linalg.norm(rows.drift, axis=1).max(initial=0.0) <= hierarchy.settled
     dtheta = np.random.default_rng(seed).normal(size=problem.joint_count)
     assert rows.slack(dtheta) == pytest.approx((side - matrix @ dtheta) / lengths, rel=1e-9, abs=ROUNDING)
 
 
-def nearly_settled(component: float) -> Hierarchy:
+def nearly_settled(component: float, rank_tolerance: float) -> Hierarchy:
     """A row that moves by `component` in what its first level leaves free."""
     levels = [Level([[1.0, 0.0, 0.0]], [1.0]), Level([[0.0, 1.0, 0.0]], [1.0])]
-    return Hierarchy(IKProblem(levels, rows=Rows([[1.0, component, 0.0]], [1.0])))
+    return Hierarchy(IKProblem(levels, rows=Rows([[1.0, component, 0.0]], [1.0])), rank_tolerance)
 
 
-def test_a_row_that_the_levels_above_have_nearly_settled_is_cut_to_them():
-    rows = nearly_settled(1e-9).rows
-    assert rows.matrix == pytest.approx(np.array([[1.0, 0.0, 0.0]]), abs=1e-16)
-    assert rows.drift == pytest.approx(np.array([[0.0, 1e-9, 0.0]]), abs=1e-16)
-    assert rows.slack(np.array([0.0, 1.0, 0.0])) == pytest.approx([1.0 - 1e-9], abs=1e-16)
+#: Rank tolerance, and what less of a row than that is settled: the noise, or a hundred-thousandth of the tolerance.
+SETTLED = [(0.0, NOISE), (1e-4, 1e-9), (1e-2, 1e-7)]
 
 
-def test_a_row_that_the_levels_above_have_not_settled_is_whole():
-    rows = nearly_settled(1e-6).rows
+@pytest.mark.parametrize(("rank_tolerance", "settled"), SETTLED)
+def test_what_is_settled_is_relative_to_the_rank_tolerance_and_at_least_the_noise(rank_tolerance, settled):
+    assert nearly_settled(0.0, rank_tolerance).settled == pytest.approx(settled, rel=1e-12)
+
+
+def test_of_noisier_data_more_is_settled():
+    assert Hierarchy(IKProblem([Level(np.eye(2), np.ones(2))], noise=1e-6)).settled == 1e-6
+
+
+def test_a_level_that_keeps_a_weak_direction_leaves_it_blurred_so_that_more_is_settled_below():
+    levels = [Level([[1.0, 0.0, 0.0], [1.0, weak, 0.0]], [1.0, 1.0]) for weak in (1e-3, 1e-6)]
+    strong, weak = (Hierarchy(IKProblem([level])).settled for level in levels)
+    assert strong == NOISE
+    assert 1e-10 < weak < 1e-8
+
+
+@pytest.mark.parametrize(("rank_tolerance", "settled"), SETTLED)
+def test_a_row_that_the_levels_above_have_nearly_settled_is_cut_to_them(rank_tolerance, settled):
+    component = 0.5 * settled
+    rows = nearly_settled(component, rank_tolerance).rows
+    assert rows.matrix == pytest.approx(np.array([[1.0, 0.0, 0.0]]), abs=1e-14)
+    assert rows.drift == pytest.approx(np.array([[0.0, component, 0.0]]), rel=1e-9, abs=1e-16)
+    assert rows.slack(np.array([0.0, 1.0, 0.0])) == pytest.approx([1.0 - component], abs=1e-14)
+
+
+@pytest.mark.parametrize(("rank_tolerance", "settled"), SETTLED)
+def test_a_row_that_the_levels_above_have_not_settled_is_whole(rank_tolerance, settled):
+    rows = nearly_settled(2.0 * settled, rank_tolerance).rows
     assert not rows.drift.any()
-    assert rows.matrix[0, 1] == pytest.approx(1e-6, rel=1e-9)
+    assert rows.matrix[0, 1] == pytest.approx(2.0 * settled, rel=1e-9)
 
 
 def test_a_row_is_cut_at_every_level_that_has_nearly_settled_it():
-    # At 1e-8 the first level leaves it too little; what it has of the third joint is part of that little.
+    # At half of what counts the first level leaves it too little; what it has of the third joint is part of that little.
     levels = [Level([[1.0, 0.0, 0.0]], [1.0]), Level([[0.0, 1.0, 0.0]], [1.0])]
-    rows = Hierarchy(IKProblem(levels, rows=Rows([[1.0, 1e-3, 1e-9], [1.0, 1e-8, 1e-8]], [1.0, 1.0]))).rows
-    assert rows.drift[0] == pytest.approx([0.0, 0.0, 1e-9], rel=1e-5, abs=1e-16)
-    assert rows.drift[1] == pytest.approx([0.0, 1e-8, 1e-8], rel=1e-5, abs=1e-16)
+    little = 0.5e-9
+    given = Rows([[1.0, 1e-3, little], [1.0, little, little]], [1.0, 1.0])
+    rows = Hierarchy(IKProblem(levels, rows=given), 1e-4).rows
+    assert rows.drift[0] == pytest.approx([0.0, 0.0, little], rel=1e-5, abs=1e-16)
+    assert rows.drift[1] == pytest.approx([0.0, little, little], rel=1e-5, abs=1e-16)
 
 
 def test_reach_is_how_far_rows_move_in_the_free_directions(pooled):
@@ -520,50 +729,7 @@ def test_reach_is_how_far_rows_move_in_the_free_directions(pooled):
     assert pooled.rows.reach(np.array([], dtype=int), np.eye(2)).shape == (0,)
 
 
-# Coordinates within some directions.
-
-
-def weighted_change(directions: np.ndarray, root: np.ndarray, dtheta: np.ndarray) -> np.ndarray:
-    return root @ (directions.T @ dtheta)
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_in_whitened_coordinates_least_squares_is_a_distance(seed):
-    rng = np.random.default_rng(seed)
-    directions = rng.normal(size=(7, 4))
-    directions[:, 3] = directions[:, 0] + 0.5 * directions[:, 1]  # one that is no news
-    directions /= np.linalg.norm(directions, axis=0)
-    root, free = np.triu(rng.normal(size=(4, 4))) + 3.0 * np.eye(4), np.linalg.qr(rng.normal(size=(7, 5)))[0]
-    found = range_of(directions, root, free)
-    assert found.felt.shape == (7, 3)
-    assert_orthonormal(found.q)
-    assert_orthonormal(found.unfelt)
-    assert np.abs(directions.T @ found.unfelt).max() <= ROUNDING
-    for basis in (found.felt, found.unfelt):  # of what is free
-        assert np.linalg.norm(basis - free @ (free.T @ basis)) <= ROUNDING * np.linalg.norm(basis)
-    # What the rows see of y is q y: so ½‖root directionsᵀ felt y - e‖² is ½‖y - qᵀe‖² and a constant.
-    assert weighted_change(directions, root, found.felt) == pytest.approx(found.q, abs=ROUNDING)
-    lacking = rng.normal(size=4)
-    best = np.linalg.lstsq(weighted_change(directions, root, found.felt), lacking, rcond=None)[0]
-    assert found.project(lacking) == pytest.approx(best, abs=ROUNDING)
-
-
-def test_rows_that_feel_nothing_of_what_is_free_have_no_coordinates():
-    free = np.eye(3)[:, 1:]
-    for directions in (np.zeros((3, 0)), np.eye(3)[:, :1]):
-        found = range_of(directions, np.eye(directions.shape[1]), free)
-        assert found.felt.shape == (3, 0)
-        assert found.unfelt @ found.unfelt.T == pytest.approx(free @ free.T, abs=ROUNDING)
-        assert found.project(np.ones(directions.shape[1])).shape == (0,)
-    nothing = range_of(np.eye(3), np.eye(3), np.zeros((3, 0)))
-    assert (nothing.felt.shape, nothing.unfelt.shape) == ((3, 0), (3, 0))
-
-
-def test_directions_that_differ_by_less_than_the_angle_given_count_as_one():
-    for angle, rank in ((1e-8, 2), (1e-10, 1)):
-        directions = np.array([[1.0, 1.0], [0.0, angle]])
-        assert range_of(directions, np.eye(2), np.eye(2)).felt.shape[1] == rank
-        assert range_of(directions, np.eye(2), np.eye(2), dependent=1e-6).felt.shape[1] == 1
+# Within fewer directions.
 
 
 @pytest.mark.parametrize("seed", SEEDS)

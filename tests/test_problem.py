@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.problem import STEP_FLOOR, Bounds, Equalities, IKProblem, Level, Rows, step_scale
+from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 
 
 @pytest.fixture
@@ -45,16 +45,23 @@ def test_ragged_rows_are_refused():
         Level([[1.0, 2.0], [3.0]], [0.0, 0.0])
 
 
-@pytest.mark.parametrize("shape", [(0, 3), (2, 0)])
-def test_a_level_without_rows_or_joints_is_refused(shape):
-    with pytest.raises(InputError, match="expected at least one row"):
-        Level(np.zeros(shape), np.zeros(shape[0]))
+@pytest.mark.parametrize("kind", ["equal", "at_most"])
+def test_a_level_without_rows_asks_for_nothing(kind):
+    level = Level(np.zeros((0, 3)), [], kind=kind)
+    assert (level.cost(np.ones(3)), level.demand) == (0.0, 0.0)
+    assert IKProblem([level]).joint_count == 3
 
 
-@pytest.mark.parametrize("weight", [0.0, -2.0])
-def test_a_weight_that_is_not_positive_is_named_with_its_place(weight):
-    with pytest.raises(InputError, match=rf"weights of level 'task'\[1\] is {weight}"):
-        Level(np.eye(3), np.zeros(3), [1.0, weight, 1.0])
+def test_a_weight_below_zero_is_named_with_its_place():
+    with pytest.raises(InputError, match=r"weights of level 'task'\[1\] is -2\.0; expected numbers of at least 0"):
+        Level(np.eye(3), np.zeros(3), [1.0, -2.0, 1.0])
+
+
+@pytest.mark.parametrize("kind", ["equal", "at_most"])
+def test_a_row_of_weight_zero_costs_and_asks_for_nothing(kind):
+    level = Level(np.eye(2), [1.0, 5.0], [4.0, 0.0], kind=kind)
+    assert level.cost(np.array([3.0, 9.0])) == 16.0
+    assert level.demand == 2.0
 
 
 def test_weights_are_one_unless_given():
@@ -67,13 +74,26 @@ def test_the_cost_of_a_level_is_eq_10():
 
 
 def test_crossing_bounds_name_the_joint_and_both_values():
-    with pytest.raises(InputError, match=r"lower bound 0\.2 of knee is above its upper bound 0\.1"):
+    said = r"'knee lower' is 0\.2, above 'knee upper', 0\.1: no step keeps both; widen one"
+    with pytest.raises(InputError, match=said):
         Bounds([0.0, 0.2], [1.0, 0.1], ["hip", "knee"])
 
 
 def test_crossing_bounds_without_names_number_the_joint_from_one():
-    with pytest.raises(InputError, match="of joint 2 is above"):
+    with pytest.raises(InputError, match=r"'joint 2 lower' is 0\.2, above 'joint 2 upper', 0\.1"):
         Bounds([0.0, 0.2], [1.0, 0.1])
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(np.inf, np.inf), (-np.inf, -np.inf)])
+def test_bounds_at_infinity_that_no_step_keeps_are_refused(lower, upper):
+    with pytest.raises(InputError, match=r"'joint 1 lower' .* 'joint 1 upper'.* no step keeps both"):
+        Bounds([lower], [upper])
+
+
+def test_the_intersection_of_bounds_that_exclude_each_other_names_both_limits():
+    one, other = Bounds([0.0, 0.0], [1.0, 1.0], ["hip", "knee"]), Bounds([0.0, 2.0], [1.0, 3.0])
+    with pytest.raises(InputError, match=r"'knee lower' is 2\.0, above 'knee upper', 1\.0"):
+        one.intersect(other)
 
 
 def test_a_nan_bound_is_refused():
@@ -98,9 +118,33 @@ def test_the_intersection_of_bounds_keeps_the_tighter_side_and_the_names():
     assert both.names == ("hip", "knee")
 
 
-def test_a_row_without_a_finite_side_is_refused():
-    with pytest.raises(InputError, match=r"upper side of rows\[0\] is inf"):
-        Rows([[1.0, 0.0]], [np.inf])
+def test_a_row_whose_side_is_infinite_means_nothing():
+    rows = Rows([[1.0, 0.0], [0.0, 1.0]], [np.inf, 2.0], ["never", "floor"])
+    problem = IKProblem([Level(np.eye(2), np.zeros(2))], rows=rows)
+    assert problem.inequalities.names == ("floor",)
+    assert problem.inequalities.matrix.tolist() == [[0.0, 1.0]]
+    assert problem.violation([1e9, 2.0]) == 0.0
+    assert problem.tight_rows([1e9, 2.0], 1e-9) == ("floor",)
+
+
+def test_a_row_that_must_be_below_minus_infinity_is_refused():
+    with pytest.raises(InputError, match=r"upper side of rows\[0\] is -inf, which no step can keep"):
+        Rows([[1.0, 0.0]], [-np.inf])
+    with pytest.raises(InputError, match=r"target of level 'room'\[1\] is -inf, which no step can keep"):
+        Level(np.eye(2), [0.0, -np.inf], name="room", kind="at_most")
+
+
+def test_a_soft_row_whose_target_is_infinite_costs_and_asks_for_nothing():
+    level = Level(np.eye(2), [1.0, np.inf], [4.0, 4.0], kind="at_most")
+    assert level.cost(np.array([3.0, 1e300])) == 16.0
+    assert level.demand == 2.0
+
+
+def test_a_row_of_zeros_that_no_step_can_keep_is_refused():
+    with pytest.raises(
+        InputError, match=r"idle is all zero but must not exceed -0\.5, which no step can keep; leave it out"
+    ):
+        Rows([[0.0, 0.0]], [-0.5], ["idle"])
 
 
 def test_names_must_be_as_many_as_rows():
@@ -108,9 +152,28 @@ def test_names_must_be_as_many_as_rows():
         Rows([[1.0]], [0.0], ["a", "b"])
 
 
-def test_a_problem_without_levels_is_refused():
-    with pytest.raises(InputError, match=r"levels is \[\]; expected a list of at least one Level"):
+def test_a_problem_of_which_nothing_tells_the_number_of_joints_is_refused():
+    with pytest.raises(InputError, match="neither levels nor bounds, rows, equalities or reference: no number of joints"):
         IKProblem([])
+
+
+PARTS = {
+    "bounds": Bounds.none(3),
+    "rows": Rows([[1.0, 0.0, 0.0]], [1.0]),
+    "equalities": Equalities([[1.0, 0.0, 0.0]], [1.0]),
+    "reference": [1.0, 2.0, 3.0],
+}
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_without_levels_the_number_of_joints_is_that_of_any_other_part(name):
+    assert IKProblem([], **{name: PARTS[name]}).joint_count == 3
+
+
+@pytest.mark.parametrize("levels", [None, Level(np.eye(2), np.zeros(2)), [np.eye(2)], "ab"])
+def test_levels_that_are_no_list_of_levels_are_refused(levels):
+    with pytest.raises(InputError, match="expected a list of Level"):
+        IKProblem(levels)
 
 
 def test_levels_of_unequal_widths_are_refused_by_name():
@@ -175,9 +238,16 @@ def test_the_violation_is_zero_without_rows():
     assert IKProblem([Level(np.eye(2), np.zeros(2))]).relative_violation([9.0, 9.0]) == 0.0
 
 
-def test_the_violation_of_a_tiny_step_counts_against_the_floor():
-    problem = IKProblem([Level(np.eye(2), np.zeros(2))], Bounds([-1.0, -1.0], [0.0, 1.0]))
-    assert problem.relative_violation([1e-9, 0.0]) == pytest.approx(1e-9 / STEP_FLOOR, rel=1e-15)
+@pytest.mark.parametrize("size", [1e-12, 1e-9, 1.0, 1e9])
+def test_the_violation_of_a_step_of_any_size_counts_against_its_own_length(size):
+    problem = IKProblem([Level(np.eye(2), np.zeros(2))], Bounds([-1.0, -1.0], [0.0, np.inf]))
+    assert problem.violation([3.0 * size, 4.0 * size]) == pytest.approx(3.0 * size, rel=1e-15)
+    assert problem.relative_violation([3.0 * size, 4.0 * size]) == pytest.approx(0.6, rel=1e-15)
+
+
+def test_the_violation_of_standing_still_is_the_distance_itself():
+    problem = IKProblem([Level(np.eye(2), np.zeros(2))], Bounds([1e-7, -1.0], [1.0, 1.0]))
+    assert problem.relative_violation([0.0, 0.0]) == problem.violation([0.0, 0.0]) == 1e-7
 
 
 def test_tight_rows_are_those_within_the_tolerance_as_a_joint_distance(boxed):
@@ -185,6 +255,203 @@ def test_tight_rows_are_those_within_the_tolerance_as_a_joint_distance(boxed):
     step = [1.0, 0.4875]
     assert boxed.tight_rows(step, 0.011) == ("hip upper", "contact of link 1")
     assert boxed.tight_rows(step, 0.009) == ("hip upper",)
+
+
+# The joint metric.
+
+DIAGONAL = np.array([4.0, 1.0, 0.25])
+FULL = np.array([[4.0, 1.0, 0.0], [1.0, 2.0, -0.5], [0.0, -0.5, 1.0]])
+METRICS = {"diagonal": DIAGONAL, "full": FULL, "diagonal as a matrix": np.diag(DIAGONAL)}
+
+
+def as_matrix(metric: np.ndarray) -> np.ndarray:
+    return np.diag(metric) if metric.ndim == 1 else metric
+
+
+def measured(metric: np.ndarray) -> IKProblem:
+    """Three joints with bounds, a row, an equality and two levels."""
+    return IKProblem(
+        [Level([[1.0, 2.0, 3.0]], [0.5], [2.0]), Level([[0.0, 1.0, -1.0]], [0.1], name="room", kind="at_most")],
+        Bounds([-1.0, -np.inf, -3.0], [1.0, 2.0, np.inf], ["hip", "knee", "ankle"]),
+        Rows([[3.0, 4.0, 0.0]], [5.0], ["contact"]),
+        [0.1, 0.2, 0.3],
+        Equalities([[0.0, 1.0, 5.0]], [0.7], ["hold"]),
+        metric=metric,
+    )
+
+
+@pytest.fixture(params=METRICS)
+def metric(request: pytest.FixtureRequest) -> np.ndarray:
+    return METRICS[request.param]
+
+
+def test_the_metric_is_one_unless_given_and_the_problem_is_in_it():
+    problem = IKProblem([Level(np.eye(2), np.zeros(2))])
+    assert problem.metric.tolist() == [1.0, 1.0]
+    assert problem.in_metric is problem
+    step = np.array([1.0, 2.0])
+    assert np.array_equal(problem.to_metric(step), step)
+    assert np.array_equal(problem.from_metric(step), step)
+
+
+def test_lengths_in_the_metric_are_those_of_the_coordinates(metric):
+    problem = measured(metric)
+    for step in np.random.default_rng(0).normal(size=(5, 3)):
+        u = problem.to_metric(step)
+        assert u @ u == pytest.approx(step @ as_matrix(metric) @ step, rel=1e-14)
+        assert problem.from_metric(u) == pytest.approx(step, rel=1e-13)
+
+
+def test_the_problem_in_its_metric_says_the_same_of_every_step(metric):
+    problem = measured(metric)
+    scaled = problem.in_metric
+    assert scaled.in_metric is scaled
+    assert scaled.metric.tolist() == [1.0, 1.0, 1.0]
+    assert sorted(scaled.inequalities.names) == sorted(problem.inequalities.names)
+    for step in np.random.default_rng(1).normal(scale=3.0, size=(20, 3)):
+        u = problem.to_metric(step)
+        costs = [(one.cost(step), other.cost(u)) for one, other in zip(problem.levels, scaled.levels, strict=True)]
+        for one, other in costs:
+            assert other == pytest.approx(one, rel=1e-12, abs=1e-14)
+        assert distances(scaled, u) == pytest.approx(distances(problem, step), rel=1e-12, abs=1e-13)
+        off = problem.equalities.matrix @ step - problem.equalities.target
+        assert scaled.equalities.matrix @ u - scaled.equalities.target == pytest.approx(off, rel=1e-12, abs=1e-13)
+        away, there = u - scaled.reference, step - problem.reference
+        assert away @ away == pytest.approx(there @ as_matrix(metric) @ there, rel=1e-12)
+
+
+def distances(problem: IKProblem, step: np.ndarray) -> dict[str, float]:
+    """How far a step is from each hard row, by name: (h - g·dθ) / √(gᵀM⁻¹g)."""
+    rows, inverse = problem.inequalities, np.linalg.inv(as_matrix(problem.metric))
+    sides = zip(rows.names, rows.matrix, rows.upper, strict=True)
+    return {name: float((h - g @ step) / np.sqrt(g @ inverse @ g)) for name, g, h in sides}
+
+
+def test_the_violation_is_the_distance_in_the_metric_to_what_keeps_the_row(metric):
+    # The nearest point of g·dθ <= h in the metric M is (g·dθ - h) / √(gᵀM⁻¹g) away.
+    problem = measured(metric)
+    inverse = np.linalg.inv(as_matrix(metric))
+    hard, fixed = problem.inequalities, problem.equalities
+    for step in np.random.default_rng(2).normal(scale=3.0, size=(20, 3)):
+        broken = [max(g @ step - h, 0.0) / np.sqrt(g @ inverse @ g) for g, h in zip(hard.matrix, hard.upper, strict=True)]
+        broken += [abs(g @ step - h) / np.sqrt(g @ inverse @ g) for g, h in zip(fixed.matrix, fixed.target, strict=True)]
+        assert problem.violation(step) == pytest.approx(max(broken), rel=1e-12)
+        length = np.sqrt(step @ as_matrix(metric) @ step)
+        assert problem.relative_violation(step) == pytest.approx(max(broken) / length, rel=1e-12)
+
+
+def test_tight_rows_are_within_a_distance_in_the_metric():
+    problem = IKProblem([], Bounds([-np.inf], [1.0], ["slide"]), metric=[100.0])  # 0.01 of the joint's unit measures 0.1
+    assert problem.tight_rows([0.99], 0.11) == ("slide upper",)
+    assert problem.tight_rows([0.99], 0.09) == ()
+
+
+def test_a_metric_that_is_a_diagonal_matrix_is_that_diagonal():
+    one, other = measured(DIAGONAL), measured(np.diag(DIAGONAL))
+    step = np.array([0.3, -0.2, 0.5])
+    assert other.to_metric(step) == pytest.approx(one.to_metric(step), rel=1e-15)
+    assert other.violation(step) == pytest.approx(one.violation(step), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("metric", "said"),
+    [
+        ([1.0, 1.0], r"metric has shape \(2,\); expected \(3,\)"),
+        (np.eye(2), r"metric has shape \(2, 2\); expected \(3, 3\)"),
+        ([1.0, 0.0, 1.0], r"metric\[1\] is 0\.0; expected numbers above 0"),
+        ([1.0, 1.0, -2.0], r"metric\[2\] is -2\.0; expected numbers above 0"),
+        ([1.0, np.nan, 1.0], r"metric\[1\] is nan"),
+        ([1.0, np.inf, 1.0], r"metric\[1\] is inf; expected finite"),
+        (np.diag([1.0, 1.0, np.inf]), r"metric\[2, 2\] is inf; expected finite"),
+        ([[1.0, 0.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], r"metric differs from its transpose by 0\.5; .* symmetric"),
+        (np.diag([1.0, 1.0, -1.0]), "metric has the eigenvalue -1; expected a positive definite matrix"),
+        (np.ones((3, 3)), "metric has the eigenvalue .*; expected a positive definite matrix"),
+        ("ones", "metric is not an array of numbers"),
+    ],
+)
+def test_a_metric_that_is_none_is_refused_with_what_is_wrong(metric, said):
+    with pytest.raises(InputError, match=said):
+        IKProblem([Level(np.eye(3), np.zeros(3))], metric=metric)
+
+
+def test_a_metric_symmetric_to_rounding_is_accepted():
+    metric = FULL.copy()
+    metric[0, 1] *= 1.0 + 1e-15
+    assert measured(metric).violation([0.0, 0.0, 0.0]) == pytest.approx(
+        measured(FULL).violation([0.0, 0.0, 0.0]), rel=1e-12
+    )
+
+
+def test_other_levels_keep_the_metric_and_the_noise(metric):
+    problem = IKProblem(measured(metric).levels, metric=metric, noise=1e-6)
+    for other in (problem.with_levels(problem.levels[:1]), problem.in_metric):
+        assert other.noise == 1e-6
+    assert problem.with_levels(problem.levels[:1]).metric is problem.metric
+    softened = IKProblem([], Bounds([0.0] * 3, [1.0] * 3), metric=metric, noise=1e-6).softened(["joint 1 upper"])
+    assert (softened.noise, softened.metric.tolist()) == (1e-6, np.asarray(metric).tolist())
+
+
+# Noise.
+
+
+@pytest.mark.parametrize("noise", [0.0, -1e-9, 0.01, 1.0, np.nan, np.inf, "small", None])
+def test_a_noise_out_of_range_is_refused(noise):
+    with pytest.raises(InputError, match=r"noise is .*; expected a number above 0 and below 0\.01"):
+        IKProblem([Level(np.eye(2), np.zeros(2))], noise=noise)
+
+
+@pytest.mark.parametrize("noise", [1e-15, 1e-12, 1e-6, 9e-3])
+def test_rows_up_to_the_noise_of_the_longest_are_rounding(noise):
+    problem = IKProblem([Level([[100.0, 0.0]], [1.0])], rows=Rows([[0.0, 1.0]], [1.0]), noise=noise)
+    assert problem.zero_length == pytest.approx(100.0 * noise, rel=1e-15)
+
+
+def test_a_joints_own_step_counts_among_the_rows_so_that_tiny_levels_alone_are_rounding():
+    assert IKProblem([Level([[1e-20, 0.0]], [1.0])]).zero_length == pytest.approx(1e-12, rel=1e-15)
+
+
+def test_rows_that_are_rounding_are_kept_by_every_step_and_never_tight():
+    rows = Rows([[1e-17, 0.0], [0.0, 1.0]], [-1.0, 1.0], ["rounding", "floor"])
+    problem = IKProblem([], rows=rows, equalities=Equalities([[0.0, 1e-17]], [1.0]))
+    assert problem.violation([0.0, 0.0]) == 0.0
+    assert problem.tight_rows([0.0, 1.0], 1e-9) == ("floor",)
+    assert problem.violation([0.0, 3.0]) == 2.0
+
+
+# In words.
+
+
+def test_a_problem_says_what_it_is_in_a_few_lines():
+    problem = IKProblem(
+        [Level(np.eye(2), [3.0, 4.0], name="reach"), Level(np.eye(2), [0.0, 0.0], name="posture", damping=1e-3)],
+        Bounds([0.0, -1.0], [0.0, np.inf]),
+        Rows([[1.0, 0.0]], [1.0]),
+    )
+    assert str(problem).splitlines() == [
+        "IKProblem of 2 joints, 2 levels",
+        "  1. reach: 2 rows, equal, asks for 5",
+        "  2. posture: 2 rows, equal, asks for 0, damping 0.001 (free)",
+        "  hard: 2 joints bounded (1 frozen), 1 rows, 0 equalities",
+    ]
+
+
+# Damping.
+
+
+@pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf, "much"])
+def test_a_damping_that_is_no_number_of_at_least_zero_is_refused(bad):
+    with pytest.raises(InputError, match=r"damping of level 'reach' is .*; expected a finite number of at least 0"):
+        Level(np.eye(2), np.zeros(2), name="reach", damping=bad)
+
+
+def test_damping_of_soft_inequalities_is_refused():
+    with pytest.raises(InputError, match=r"damping of level 'room' is 0\.1; expected 0, as soft inequalities have none"):
+        Level(np.eye(2), np.zeros(2), name="room", kind="at_most", damping=0.1)
+
+
+def test_what_a_damped_level_leaves_below_is_one_of_two_words():
+    with pytest.raises(InputError, match=r"unknown below of level 'reach' 'some'; choose one of: free, hold\."):
+        Level(np.eye(2), np.zeros(2), name="reach", damping=0.1, below="some")
 
 
 # Soft inequalities.
@@ -276,16 +543,11 @@ def test_the_violation_of_an_equality_counts_on_either_side_as_a_joint_distance(
 
 def test_the_worst_of_rows_and_equalities_is_the_violation(held):
     # "balance" is off by 2.5 - 0, a distance of 2.5 / √2, and "hold the knee" by 2; the rows and bounds are kept.
-    assert held.relative_violation([0.0, 0.0]) == pytest.approx(2.0 / STEP_FLOOR, rel=1e-15)
+    assert held.violation([0.0, 0.0]) == pytest.approx(2.0, rel=1e-15)
 
 
 def test_equalities_are_no_inequalities(held):
     assert held.inequalities.names == ("hip upper", "hip lower", "contact of link 1", "contact of link 2")
-
-
-@pytest.mark.parametrize(("step", "scale"), [([3.0, 4.0], 5.0), ([0.0, 0.0], STEP_FLOOR), ([1e-9, 0.0], STEP_FLOOR)])
-def test_the_scale_of_a_step_is_its_length_with_a_floor(step, scale):
-    assert step_scale(np.array(step)) == scale
 
 
 # Hard rows made soft.

@@ -1,4 +1,4 @@
-"""In which directions tight rows leave room: Stiemke's cases by hand, and against linear programmes."""
+"""Ranges and null spaces against least squares; room that tight rows leave, by hand and against linear programmes."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,23 @@ import scipy.optimize
 from tolerances import ROUNDING
 
 from prioritized_ik.solvers import subspaces
-from prioritized_ik.solvers.subspaces import directions_left, nonnegative_least_squares, null_space
+from prioritized_ik.solvers.subspaces import (
+    directions_left,
+    divided,
+    nonnegative_least_squares,
+    null_space,
+    pivoted_qr,
+    range_of,
+)
+from prioritized_ik.tolerances import DEPENDENT
 
 NARROW = 1e-9  # far above rounding, far below any wedge of small whole numbers
 SETTLED = 1e-9  # what a row may move by and count as settled
 STRICT = 1e-6  # of a unit box: rows of small whole numbers that can be left at all can be left by far more
+
+
+def assert_orthonormal(basis: np.ndarray) -> None:
+    assert np.abs(basis.T @ basis - np.eye(basis.shape[1])).max(initial=0.0) <= ROUNDING
 
 
 def unit(rows: object) -> np.ndarray:
@@ -171,3 +183,91 @@ def test_a_combination_that_is_not_found_is_none_at_all_and_infinitely_far(monke
     assert (x.tolist(), distance) == ([0.0, 0.0], np.inf)
     # So that rows of which it is not known whether they leave room are no equalities.
     assert directions_left(np.eye(3), unit([X, -X]), NARROW, SETTLED).shape == (3, 3)
+
+
+# Coordinates within some directions.
+
+
+def weighted_change(directions: np.ndarray, root: np.ndarray, dtheta: np.ndarray) -> np.ndarray:
+    return root @ (directions.T @ dtheta)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_in_whitened_coordinates_least_squares_is_a_distance(seed):
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(7, 4))
+    directions[:, 3] = directions[:, 0] + 0.5 * directions[:, 1]  # one that is no news
+    directions /= np.linalg.norm(directions, axis=0)
+    root, free = np.triu(rng.normal(size=(4, 4))) + 3.0 * np.eye(4), np.linalg.qr(rng.normal(size=(7, 5)))[0]
+    found = range_of(directions, root, free)
+    assert found.felt.shape == (7, 3)
+    assert_orthonormal(found.q)
+    assert_orthonormal(found.unfelt)
+    assert np.abs(directions.T @ found.unfelt).max() <= ROUNDING
+    for basis in (found.felt, found.unfelt):  # of what is free
+        assert np.linalg.norm(basis - free @ (free.T @ basis)) <= ROUNDING * np.linalg.norm(basis)
+    # What the rows see of y is q y: so ½‖root directionsᵀ felt y - e‖² is ½‖y - qᵀe‖² and a constant.
+    assert weighted_change(directions, root, found.felt) == pytest.approx(found.q, abs=ROUNDING)
+    lacking = rng.normal(size=4)
+    best = np.linalg.lstsq(weighted_change(directions, root, found.felt), lacking, rcond=None)[0]
+    assert found.project(lacking) == pytest.approx(best, abs=ROUNDING)
+
+
+def test_rows_that_feel_nothing_of_what_is_free_have_no_coordinates():
+    free = np.eye(3)[:, 1:]
+    for directions in (np.zeros((3, 0)), np.eye(3)[:, :1]):
+        found = range_of(directions, np.eye(directions.shape[1]), free)
+        assert found.felt.shape == (3, 0)
+        assert found.unfelt @ found.unfelt.T == pytest.approx(free @ free.T, abs=ROUNDING)
+        assert found.project(np.ones(directions.shape[1])).shape == (0,)
+    nothing = range_of(np.eye(3), np.eye(3), np.zeros((3, 0)))
+    assert (nothing.felt.shape, nothing.unfelt.shape) == ((3, 0), (3, 0))
+
+
+def test_directions_that_differ_by_less_than_the_angle_given_count_as_one():
+    for angle, rank in ((10.0 * DEPENDENT, 2), (0.1 * DEPENDENT, 1)):
+        directions = np.array([[1.0, 1.0], [0.0, angle]])
+        assert range_of(directions, np.eye(2), np.eye(2)).felt.shape[1] == rank
+        assert range_of(directions, np.eye(2), np.eye(2), dependent=1e-6).felt.shape[1] == 1
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_null_space_of_rows_within_some_directions_is_all_that_they_do_not_feel(seed):
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(4, 2)) @ rng.normal(size=(2, 7))
+    free = np.linalg.qr(rng.normal(size=(7, 5)))[0]
+    found = null_space(rows / np.linalg.norm(rows, axis=1)[:, None], free)
+    assert found.shape == (7, 3)
+    assert_orthonormal(found)
+    assert np.abs(rows @ found).max() <= ROUNDING * np.abs(rows).max()
+    assert free @ (free.T @ found) == pytest.approx(found, abs=ROUNDING)
+
+
+def test_without_rows_or_directions_the_null_space_is_all_that_is_free():
+    free, nothing = np.eye(3)[:, 1:], np.zeros((3, 0))
+    assert null_space(np.zeros((0, 3)), free) is free
+    assert null_space(np.eye(3), nothing) is nothing
+
+
+def test_rows_that_feel_less_than_what_counts_do_not_shrink_the_null_space():
+    for part, left in ((0.1 * DEPENDENT, 2), (10.0 * DEPENDENT, 1)):
+        assert null_space(np.array([[1.0, part, 0.0]]), np.eye(3)[:, 1:]).shape[1] == left
+
+
+def test_columns_divided_by_a_triangle_are_those_times_its_inverse():
+    rng = np.random.default_rng(0)
+    columns, triangle = rng.normal(size=(5, 3)), np.triu(rng.normal(size=(3, 3))) + 3.0 * np.eye(3)
+    assert divided(columns, triangle) == pytest.approx(columns @ np.linalg.inv(triangle), abs=ROUNDING)
+    assert divided(np.zeros((5, 0)), np.zeros((0, 0))).shape == (5, 0)
+
+
+@pytest.mark.parametrize("shape", [(5, 3), (3, 3), (4, 1), (4, 0), (0, 0)])
+def test_a_pivoted_qr_gives_the_matrix_with_its_columns_in_order(shape):
+    matrix = np.random.default_rng(1).normal(size=shape)
+    q, r, order = pivoted_qr(matrix)
+    assert q.shape == shape
+    assert_orthonormal(q)
+    assert np.array_equal(r, np.triu(r))
+    assert sorted(order) == list(range(shape[1]))
+    assert q @ r == pytest.approx(matrix[:, order], abs=ROUNDING)
+    assert (np.diff(np.abs(np.diag(r))) <= ROUNDING).all()

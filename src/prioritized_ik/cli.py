@@ -57,7 +57,7 @@ def main() -> None:
 
 @main.command()
 @click.option("--direction", default="up", help="Where the object comes from: up, down, front or back.")
-@click.option("--solver", default="daqp", help="A QP solver (see `solvers`), or closed-form for Eqs. 12-14 alone.")
+@click.option("--solver", default="daqp", help="A QP solver (see `solvers`), active-set, or closed-form (Eqs. 12-14).")
 @click.option("--formulation", default="lexicographic", help="lexicographic (exact), damped or slack.")
 @click.option("--weights", default="eq23", help="Weights of the arms: eq23 or eq24; or strict, levels in place of weights.")
 @click.option("--links", default=17, help="Number of links n.")

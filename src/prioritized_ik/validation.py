@@ -11,6 +11,8 @@ from prioritized_ik.errors import InputError
 
 Array = NDArray[np.float64]
 
+LARGEST = 1e100  # squares of larger numbers, and products of those, overflow
+
 
 def positive(name: str, value: float) -> float:
     """Return `value` as a float if it is finite and above zero."""
@@ -74,6 +76,10 @@ def shaped_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
     if np.isnan(array).any():
         place = [int(i) for i in np.argwhere(np.isnan(array))[0]]
         raise InputError(f"{name}{place} is nan; expected numbers only.")
+    beyond = np.isfinite(array) & (np.abs(array) > LARGEST)
+    if beyond.any():
+        place = tuple(int(i) for i in np.argwhere(beyond)[0])
+        raise InputError(f"{name}{list(place)} is {array[place]}; expected at most {LARGEST:g}: choose other units.")
     array.setflags(write=False)
     return array
 

@@ -1,1 +1,18 @@
-"""From a problem to a joint step: the closed form, the QP stages, and the backends that solve them."""
+"""From a problem to a certified joint step.
+
+The map of one solve, in the order in which it runs:
+
+    lexicographic.solve         checks arguments, hands damped levels' optima down (damping), raises what went wrong
+     └ hierarchy.Hierarchy      the problem in its joint metric, without rounding; each level cut to its rank (Eq. 6,
+       │                        level_decomposition) and whitened: an EqualBlock or a SoftBlock
+       ├ .closed_form           Eqs. 12-14, level by level: the answer if it meets every row
+       ├ a guess of active rows   of the last step (ActiveSet); of a QP solver, level by level (stages, backends); or from
+       │                        nothing (stagewise)
+       ├ active_set.solve       the kernel: the step on the guessed face, the ratio test, rows that pull, until
+       └ certificate.Proof      proves it, sharing nothing with what found it
+    conflict.find_conflict      where no step keeps all hard rows: the smallest set in conflict
+    explain, report             which level gave way and to what; what was cut
+
+`subspaces.py` holds the geometry, `prioritized_ik.tolerances` every threshold, `witness.py` a reference in CVXPY that
+shares no code with any of this.
+"""

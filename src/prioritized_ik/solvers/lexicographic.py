@@ -14,7 +14,7 @@ from typing import cast
 
 import numpy as np
 
-from prioritized_ik.errors import InfeasibleError, InputError, StepNotFoundError
+from prioritized_ik.errors import InfeasibleError, InputError, SolverUnavailableError, StepNotFoundError
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers import active_set
 from prioritized_ik.solvers.active_set import Active, Solution
@@ -119,7 +119,12 @@ def get_solver(name: str, accuracy: float = ACCURACY) -> Solver:
     Raises:
         SolverUnavailableError: unknown, or not installed.
     """
-    return ActiveSet() if name == ActiveSet.name else get_backend(name, accuracy)
+    if name == ActiveSet.name:
+        return ActiveSet()
+    try:
+        return get_backend(name, accuracy)
+    except SolverUnavailableError as error:
+        raise SolverUnavailableError(f"{error} {ActiveSet.name!r} needs no QP solver.") from error
 
 
 def solve(problem: IKProblem, solver: str | Solver = DEFAULT, options: SolveOptions | None = None) -> JointStep:
@@ -178,6 +183,8 @@ def _undamped_step(problem: IKProblem, solver: Solver, options: SolveOptions) ->
     clock = _Clock()
     hierarchy = Hierarchy(problem, options.rank_tolerance)
     solution: Solution | None = None
+    if hierarchy.impossible:
+        return JointStep(None, StepStatus.INFEASIBLE, conflict=find_conflict(problem), timings=clock.timings())
     if options.formulation in ONE_QP:
         answer = _as_one_qp(problem, solver, clock, options)
         timings = clock.timings()
@@ -335,7 +342,7 @@ def _finished(
         solution = Solution(answer, Proof(hierarchy, answer), active_set.guessed(hierarchy, answer), 0, converged=True)
     step = _step(problem, hierarchy, solution.u, solution.proof, converged=solution.converged)
     step = replace(step, raw=raw, repairs=solution.iterations)
-    if step.violation <= ACCEPTED_VIOLATION and not hierarchy.impossible:
+    if step.violation <= ACCEPTED_VIOLATION:
         return step
     conflict = find_conflict(problem)
     status = StepStatus.VIOLATED if conflict is None else StepStatus.INFEASIBLE
