@@ -1,9 +1,10 @@
 """One `IKProblem` as a `.npz` file: plain arrays, nothing in it is executed on reading.
 
 Arrays of the file, for those who read it without this package: `format`; for each level i from 0, the most important,
-`level_i_matrix` `(k, m)`, `level_i_target` `(k,)`, `level_i_weights` `(k,)`, `level_i_kind` and `level_i_name`; `lower` and
-`upper` `(m,)` [rad] with `joint_names`; `rows_matrix` `(r, m)`, `rows_upper` `(r,)`, `rows_names`; `equalities_matrix`,
-`equalities_target`, `equalities_names`; `reference` `(m,)` [rad].
+`level_i_matrix` `(k, m)`, `level_i_target` `(k,)`, `level_i_weights` `(k,)`, `level_i_kind`, `level_i_name`,
+`level_i_damping` and `level_i_below`; `lower` and `upper` `(m,)` [rad] with `joint_names`; `rows_matrix` `(r, m)`,
+`rows_upper` `(r,)`, `rows_names`; `equalities_matrix`, `equalities_target`, `equalities_names`; `reference` `(m,)` [rad];
+`metric` `(m,)` or `(m, m)`; `noise`.
 """
 
 import io
@@ -15,7 +16,7 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.files import UNREADABLE, write_whole
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 
-FORMAT = "prioritized-ik problem 1"
+FORMAT = "prioritized-ik problem 2"
 
 
 def problem_bytes(problem: IKProblem) -> bytes:
@@ -32,6 +33,8 @@ def problem_bytes(problem: IKProblem) -> bytes:
         "equalities_target": problem.equalities.target,
         "equalities_names": np.array(problem.equalities.names, dtype=np.str_),
         "reference": problem.reference,
+        "metric": problem.metric,
+        "noise": np.array(problem.noise),
     }
     for number, level in enumerate(problem.levels):
         arrays |= {f"level_{number}_{part}": np.asarray(getattr(level, part)) for part in _LEVEL_PARTS}
@@ -66,14 +69,17 @@ def load_problem(path: str | Path) -> IKProblem:
             raise ValueError(f"its format is {str(content['format'])!r}")
         levels: list[Level] = []
         while f"level_{len(levels)}_matrix" in content:
-            matrix, target, weights, name, kind = (content[f"level_{len(levels)}_{part}"] for part in _LEVEL_PARTS)
-            levels.append(Level(matrix, target, weights, name=str(name), kind=str(kind)))
+            parts = (content[f"level_{len(levels)}_{part}"] for part in _LEVEL_PARTS)
+            matrix, target, weights, name, kind, damping, below = parts
+            levels.append(Level(matrix, target, weights, str(name), str(kind), float(damping), str(below)))
         return IKProblem(
             levels,
             Bounds(content["lower"], content["upper"], _names(content["joint_names"])),
             Rows(content["rows_matrix"], content["rows_upper"], _names(content["rows_names"])),
             content["reference"],
             Equalities(content["equalities_matrix"], content["equalities_target"], _names(content["equalities_names"])),
+            metric=content["metric"],
+            noise=float(content["noise"]),
         )
     except (*UNREADABLE, InputError) as error:
         raise InputError(
@@ -81,7 +87,7 @@ def load_problem(path: str | Path) -> IKProblem:
         ) from error
 
 
-_LEVEL_PARTS = ("matrix", "target", "weights", "name", "kind")
+_LEVEL_PARTS = ("matrix", "target", "weights", "name", "kind", "damping", "below")
 
 
 def _names(array: np.ndarray) -> tuple[str, ...]:

@@ -110,5 +110,5 @@ class TestJointMetric:
         assert joint_metric(mujoco.MjModel.from_xml_string(xml), 2.0) == pytest.approx([0.25] * 3 + [1.0] * 3)
 
     def test_a_length_that_is_not_positive_is_refused(self):
-        with pytest.raises(pik.InputError, match="length is 0.0"):
+        with pytest.raises(pik.InputError, match=r"length is 0\.0"):
             joint_metric(mujoco.MjModel.from_xml_string(self.BASE_AND_ARM), 0.0)

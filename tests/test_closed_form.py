@@ -188,6 +188,38 @@ def test_what_a_level_does_not_feel_completes_what_it_feels(rows: int, rank: int
     assert np.abs(matrix @ free @ unfelt).max() < ROUNDING * max(1.0, np.abs(matrix).max())
 
 
+def test_a_level_without_rank_tolerance_is_cut_where_only_rounding_is_left_whatever_the_units_of_its_rows() -> None:
+    matrix = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.6, 0.8, 1e-14]])
+    for units in (np.ones(3), [1e-9, 1.0, 1e9], [1e3, 1e-3, 1.0]):
+        level = Level(np.array(units)[:, None] * matrix, np.zeros(3))
+        factors, unfelt, spectrum = level_decomposition(level, np.eye(3), 0.0)
+        assert factors.rank == 2
+        assert np.abs(unfelt) == pytest.approx(np.eye(3)[:, 2:], abs=1e-13)
+        assert spectrum.kept == pytest.approx([np.sqrt(2.0), 1.0], rel=ROUNDING)
+        assert spectrum.cut[0] < ROUNDING
+        assert spectrum.relative_to == "a row's length"
+
+
+def test_a_level_cut_to_a_rank_tolerance_tells_the_values_kept_and_cut_relative_to_its_largest() -> None:
+    level = Level(3.0 * np.diag([1.0, 1e-3, 1e-5, 1e-7]), np.zeros(4))
+    for tolerance, rank in ((1e-8, 4), (1e-6, 3), (1e-4, 2), (1e-2, 1)):
+        factors, _, spectrum = level_decomposition(level, np.eye(4), tolerance)
+        assert factors.rank == len(spectrum.kept) == rank
+        assert [*spectrum.kept, *spectrum.cut] == pytest.approx([1.0, 1e-3, 1e-5, 1e-7], rel=1e-9)
+        assert np.abs(spectrum.cut_rows) == pytest.approx(np.eye(4)[rank:], abs=ROUNDING)
+        assert spectrum.relative_to == "the largest of the matrix"
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1e-6])
+def test_a_level_without_rows_or_of_zeros_decides_nothing(tolerance: float) -> None:
+    for rows in (0, 2):
+        factors, unfelt, spectrum = level_decomposition(Level(np.zeros((rows, 3)), np.zeros(rows)), np.eye(3), tolerance)
+        assert factors.j_a.shape == (rows, 0)
+        assert factors.j_b.shape == (0, 3)
+        assert np.abs(unfelt @ unfelt.T - np.eye(3)).max() < ROUNDING
+        assert len(spectrum.kept) == 0
+
+
 @pytest.mark.parametrize("bad", [0.0, 1.0, -1e-6, np.nan])
 @pytest.mark.parametrize("factorise", [*FACTORISATIONS, task_case])
 def test_a_rank_tolerance_outside_zero_to_one_is_refused(factorise: Callable[..., object], bad: float) -> None:

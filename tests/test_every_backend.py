@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import qpsolvers
 from tolerances import ROUNDING
-from winding_fixtures import QP_ONLY, constrained_steps, free_steps
+from winding_fixtures import AS_RECORDED, QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.errors import InputError, SolverUnavailableError
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
@@ -32,7 +32,7 @@ Problems = tuple[IKProblem, ...]
 
 def steps_of(name: str, problems: Problems) -> list[JointStep]:
     backend = get_backend(name)
-    return [joint_step(problem, backend, QP_ONLY) for problem in problems]
+    return [joint_step(problem, backend, AS_RECORDED) for problem in problems]
 
 
 @cache

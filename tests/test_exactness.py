@@ -1,17 +1,19 @@
 """Where the answer is a formula, the solve gives it to rounding; and a step that is not the optimum gets no certificate."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hierarchies import EVERYTHING, KnownHierarchy, Press, random_hierarchy, settled_before, solution_on
 from tolerances import ORACLE, ROUNDING
-from winding_fixtures import QP_ONLY, constrained_steps, free_steps
+from winding_fixtures import AS_RECORDED, QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
 from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.certificate import certify
 from prioritized_ik.solvers.closed_form import (
+    RANK_TOLERANCE,
     general_solution,
     minimum_norm_solution,
     rank_decomposition_svd,
@@ -82,6 +84,7 @@ def test_one_level_is_the_weighted_pseudo_inverse(shape, seed, options):
 
 @both_ways
 def test_the_free_steps_of_a_winding_are_eqs_12_and_13(options):
+    options = replace(options, rank_tolerance=RANK_TOLERANCE)
     for problem in free_steps():
         (level,) = problem.levels
         factors = rank_decomposition_svd(level.matrix)

@@ -1,5 +1,6 @@
 """The levels' own coordinates: blocks, strict closed form, equalities and pooled rows."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,8 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.closed_form import general_solution, rank_decomposition_svd, weighted_optimum
 from prioritized_ik.solvers.hierarchy import AMPLE, HARD, EqualBlock, Hierarchy, SoftBlock, strict_solution
+from prioritized_ik.solvers.lexicographic import solve
+from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.tolerances import DEPENDENT, FLOOR, NOISE
 from prioritized_ik.weights import FREE
 
@@ -193,7 +196,8 @@ def test_soft_levels_take_no_direction():
     hierarchy = Hierarchy(IKProblem(levels))
     soft, block = hierarchy.blocks
     assert isinstance(soft, SoftBlock)
-    assert soft.is_soft and not block.is_soft
+    assert soft.is_soft
+    assert not block.is_soft
     assert soft.below is block.free is hierarchy.free
     assert soft.demand == pytest.approx(np.sqrt(3.0), rel=1e-15)
     assert hierarchy.rest.shape == (3, 2)
@@ -374,6 +378,206 @@ def test_the_cut_problem_has_the_same_optimum_without_a_rank_tolerance() -> None
     assert np.array_equal(cut.reference, problem.reference)
 
 
+# The spectrum.
+
+
+def test_without_a_rank_tolerance_a_block_keeps_all_that_is_not_rounding_and_says_what_it_cut():
+    level = Level([[3.0, 0.0, 0.0], [0.0, 1e-9, 0.0], [5.0, 1e-13, 0.0]], [1.0, 2.0, 3.0])
+    (block,) = Hierarchy(IKProblem([level])).blocks
+    assert block.spectrum.kept == pytest.approx([np.sqrt(2.0), 1.0], rel=1e-12)
+    assert block.spectrum.cut == pytest.approx([0.0], abs=1e-14)
+    assert block.spectrum.relative_to == "a row's length"
+    assert block.felt.shape == (3, 2)
+
+
+def test_rows_that_differ_by_rounding_only_are_one():
+    for angle, rank in ((1e-13, 1), (1e-11, 2)):
+        (block,) = Hierarchy(IKProblem([Level([[1.0, 0.0], [1.0, angle]], [1.0, 1.0])])).blocks
+        assert block.felt.shape[1] == rank
+        whole = np.concatenate([block.spectrum.kept, block.spectrum.cut])
+        assert whole == pytest.approx([np.sqrt(2.0), angle / np.sqrt(2.0)], rel=1e-3)
+
+
+def test_with_a_rank_tolerance_singular_values_are_relative_to_the_largest_of_the_matrix():
+    level = Level(np.diag([2.0, 2e-3, 2e-6]), np.ones(3))
+    (block,) = Hierarchy(IKProblem([level]), 1e-4).blocks
+    assert block.spectrum.kept == pytest.approx([1.0, 1e-3], rel=1e-12)
+    assert block.spectrum.cut == pytest.approx([1e-6], rel=1e-9)
+    assert block.spectrum.relative_to == "the largest of the matrix"
+    assert np.abs(block.spectrum.cut_rows) == pytest.approx(np.array([[0.0, 0.0, 1.0]]), abs=ROUNDING)
+
+
+def test_what_the_levels_above_took_of_a_matrix_still_counts_as_its_largest_value():
+    levels = [Level([[1.0, 0.0, 0.0]], [1.0]), Level(np.diag([10.0, 1.0, 1e-5]), np.ones(3))]
+    block = Hierarchy(IKProblem(levels), 1e-4).blocks[1]
+    assert block.spectrum.kept == pytest.approx([0.1], rel=1e-12)
+    assert block.spectrum.cut[0] == pytest.approx(1e-6, rel=1e-9)
+
+
+@pytest.mark.parametrize("c", [10.0**-n for n in range(1, 7)])
+def test_regularisation_by_short_rows_and_by_light_ones_gives_the_same_blocks(c):
+    rng = np.random.default_rng(16)
+    j = (rng.integers(-3, 4, size=(4, 2)) @ rng.integers(-3, 4, size=(2, 6))).astype(float)  # of rank 2 to the last bit
+    assert np.linalg.matrix_rank(j) == 2
+    desired, posture = j @ rng.normal(size=6), rng.normal(size=6)  # out of reach, rounding grows with 1/c²
+    below = random_level(rng, 2, 6)
+    as_rows = Level(np.vstack([j, c * np.eye(6)]), np.append(desired, c * posture))
+    as_weights = Level(np.vstack([j, np.eye(6)]), np.append(desired, posture), np.append(np.ones(4), np.full(6, c**2)))
+    one, other = (Hierarchy(IKProblem([level, below])) for level in (as_rows, as_weights))
+    for block, same in zip(one.blocks, other.blocks, strict=True):
+        assert block.felt.shape == same.felt.shape
+        assert block.matrix.T @ block.matrix == pytest.approx(same.matrix.T @ same.matrix, rel=1e-9, abs=ROUNDING)
+    assert one.blocks[0].felt.shape == (6, 6)
+    # Along what J does not feel the answer is the posture, however small c.
+    assert norm_error(one.closed_form, other.closed_form) <= 1e-9
+    null = np.linalg.svd(j)[2][2:]
+    assert null @ one.closed_form == pytest.approx(null @ posture, abs=1e-9)
+
+
+UNITS = {"mm": 1e3, "nm": 1e9, "km": 1e-3, "each its own": 10.0 ** np.array([3.0, -3.0, 6.0, 0.0])}
+
+
+@pytest.mark.parametrize("factor", UNITS.values(), ids=UNITS.keys())
+@pytest.mark.parametrize("seed", range(5))
+def test_rows_in_other_units_beside_radians_give_the_same_closed_form_where_weights_make_up_for_them(factor, seed):
+    rng = np.random.default_rng(seed)
+    jacobian, desired, weights = rng.normal(size=(4, 7)), rng.normal(size=4), rng.uniform(0.5, 50.0, 4)
+    angles, below = random_level(rng, 2, 7), random_level(rng, 3, 7)
+    mixed = np.vstack([jacobian, angles.matrix])
+    targets, all_weights = np.append(desired, angles.target), np.append(weights, angles.weights)
+    units = np.append(factor * np.ones(4), [1.0, 1.0])
+    reference = rng.normal(size=7)
+    one = IKProblem([Level(mixed, targets, all_weights), below], reference=reference)
+    other = IKProblem([Level(units[:, None] * mixed, units * targets, all_weights / units**2), below], reference=reference)
+    assert norm_error(Hierarchy(other).closed_form, Hierarchy(one).closed_form) <= 1e-9
+
+
+# The joint metric.
+
+
+def some_metric(kind: str, m: int, rng: np.random.Generator) -> np.ndarray:
+    """A metric over four decades, of a robot whose joints are counted in different units; coupled if `kind` is full."""
+    diagonal = 10.0 ** rng.uniform(-2.0, 2.0, m)
+    if kind == "diagonal":
+        return diagonal
+    turn = np.linalg.qr(rng.normal(size=(m, m)))[0]
+    matrix = turn * diagonal @ turn.T
+    return (matrix + matrix.T) / 2.0
+
+
+def least_in_metric(problem: IKProblem) -> np.ndarray:
+    """Levels in strict order by their null spaces, then the step nearest to the reference in the metric, from dθ itself."""
+    m = problem.joint_count
+    metric = np.diag(problem.metric) if problem.metric.ndim == 1 else problem.metric
+    levels = [(problem.equalities.matrix, problem.equalities.target)]
+    levels += [(np.sqrt(one.weights)[:, None] * one.matrix, np.sqrt(one.weights) * one.target) for one in problem.levels]
+    dtheta, free = np.zeros(m), np.eye(m)
+    for matrix, target in levels:
+        if len(target) and free.shape[1]:
+            seen = matrix @ free
+            _, s, vt = np.linalg.svd(seen)
+            dtheta = dtheta + free @ np.linalg.lstsq(seen, target - matrix @ dtheta, rcond=1e-9)[0]
+            free = free @ vt[np.count_nonzero(s > 1e-9 * s[0]) :].T
+    away = problem.reference - dtheta
+    return dtheta + free @ np.linalg.solve(free.T @ metric @ free, free.T @ metric @ away)
+
+
+def metric_problem(kind: str, seed: int) -> IKProblem:
+    rng = np.random.default_rng([seed, len(kind)])
+    levels = [random_level(rng, 2, 8), Level(rng.normal(size=(3, 2)) @ rng.normal(size=(2, 8)), rng.normal(size=3))]
+    equal = Equalities(rng.normal(size=(1, 8)), rng.normal(size=1))
+    return IKProblem(levels, reference=rng.normal(size=8), equalities=equal, metric=some_metric(kind, 8, rng))
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("kind", ["diagonal", "full"])
+def test_the_closed_form_in_a_metric_is_the_weighted_least_norm(kind, seed):
+    problem = metric_problem(kind, seed)
+    found = problem.from_metric(Hierarchy(problem).closed_form)
+    assert norm_error(found, least_in_metric(problem)) <= ORACLE
+
+
+@pytest.mark.parametrize("kind", ["diagonal", "full"])
+def test_another_metric_is_another_step_and_one_that_is_off_by_a_thousandth_is_found_out(kind):
+    problem = metric_problem(kind, 0)
+    truth = least_in_metric(problem)
+    plain = IKProblem(problem.levels, reference=problem.reference, equalities=problem.equalities)
+    assert norm_error(Hierarchy(plain).closed_form, truth) > SABOTAGE
+    off = problem.metric.copy()
+    off[(0, 0)[: off.ndim]] *= 1.0 + SABOTAGE
+    other = IKProblem(problem.levels, reference=problem.reference, equalities=problem.equalities, metric=off)
+    assert norm_error(other.from_metric(Hierarchy(other).closed_form), truth) > 1e3 * ORACLE
+
+
+def test_a_metric_scaled_as_a_whole_changes_no_step():
+    problem = metric_problem("full", 1)
+    scaled = IKProblem(
+        problem.levels, reference=problem.reference, equalities=problem.equalities, metric=1e6 * problem.metric
+    )
+    one, other = (each.from_metric(Hierarchy(each).closed_form) for each in (problem, scaled))
+    assert norm_error(other, one) <= ORACLE
+
+
+@pytest.mark.parametrize("kind", ["diagonal", "full"])
+def test_joints_frozen_in_a_metric_are_where_they_are_frozen(kind):
+    problem = metric_problem(kind, 2)
+    lower = np.full(8, -np.inf)
+    lower[[1, 4]] = 0.3, -0.2
+    bounds = Bounds(lower, np.where(np.isfinite(lower), lower, np.inf))
+    rest = {"reference": problem.reference, "metric": problem.metric}
+    frozen = IKProblem(problem.levels[1:], bounds, **rest)
+    equal = IKProblem(problem.levels[1:], equalities=Equalities(np.eye(8)[[1, 4]], [0.3, -0.2]), **rest)
+    step = solve(frozen).dtheta
+    assert step[[1, 4]] == pytest.approx([0.3, -0.2], rel=1e-12)
+    assert norm_error(step, least_in_metric(equal)) <= ORACLE
+
+
+@pytest.mark.parametrize("kind", ["diagonal", "full"])
+def test_pooled_rows_in_a_metric_are_distances_in_it(kind):
+    problem = metric_problem(kind, 3)
+    rng = np.random.default_rng(3)
+    rows = Rows(rng.normal(size=(2, 8)), rng.uniform(0.1, 1.0, 2))
+    lower = np.append(-rng.uniform(0.1, 1.0, 4), np.full(4, -np.inf))
+    bounded = IKProblem([], Bounds(lower, np.full(8, 2.0)), rows, metric=problem.metric)
+    inverse = np.linalg.inv(np.diag(problem.metric) if kind == "diagonal" else problem.metric)
+    pooled, hard = Hierarchy(bounded).rows, bounded.inequalities
+    assert pooled.names == hard.names
+    for step in rng.normal(size=(5, 8)):
+        distances = [(h - g @ step) / np.sqrt(g @ inverse @ g) for g, h in zip(hard.matrix, hard.upper, strict=True)]
+        assert pooled.slack(bounded.to_metric(step)) == pytest.approx(np.array(distances), rel=1e-9, abs=1e-11)
+
+
+def best_of_all_faces(problem: IKProblem) -> np.ndarray:
+    """The step nearest to the reference that keeps every row, from all sets of rows that could be equalities."""
+    rows = problem.inequalities
+    best, shortest = None, np.inf
+    for count in range(4):
+        for chosen in itertools.combinations(range(len(rows.upper)), count):
+            face = Equalities(rows.matrix[list(chosen)], rows.upper[list(chosen)])
+            step = least_in_metric(
+                IKProblem(problem.levels, reference=problem.reference, equalities=face, metric=problem.metric)
+            )
+            away = problem.to_metric(step - problem.reference)
+            off = problem.levels[0].cost(step)
+            keeps = (rows.matrix @ step <= rows.upper + 1e-9).all() and off <= 1e-18
+            if keeps and np.linalg.norm(away) < shortest:
+                best, shortest = step, float(np.linalg.norm(away))
+    assert best is not None
+    return best
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("kind", ["diagonal", "full"])
+def test_bounds_and_rows_in_a_metric_hold_the_step_that_is_nearest_in_it(kind, seed):
+    rng = np.random.default_rng([seed, len(kind)])
+    bounds, rows = Bounds(np.full(4, -0.5), np.full(4, 0.5)), Rows(rng.normal(size=(2, 4)), [0.2, 0.3])
+    level = Level(rng.normal(size=(1, 4)), [0.1])
+    problem = IKProblem([level], bounds, rows, rng.normal(size=4), metric=some_metric(kind, 4, rng))
+    step = solve(problem)
+    assert step.status is StepStatus.SOLVED
+    assert norm_error(step.dtheta, best_of_all_faces(problem)) <= 1e-9
+
+
 # What a step is likely to measure.
 
 
@@ -396,6 +600,12 @@ def test_a_step_is_likely_to_measure_what_half_of_the_rows_leave_where_that_is_s
 def test_a_step_of_any_size_is_likely_to_measure_what_it_does(size):
     for parts in ({}, {"bounds": Bounds(np.full(2, -2.0 * size), np.full(2, 2.0 * size))}):
         assert likely_length(Level([[1.0, 0.0]], [size]), **parts) == pytest.approx(size, rel=1e-15)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_a_step_is_likely_to_measure_the_way_out_of_the_row_that_is_broken_most(size):
+    level = Level([[1.0, 0.0], [0.0, 2.0]], [-size, -6.0 * size], kind="at_most")
+    assert likely_length(level) == pytest.approx(3.0 * size, rel=1e-15)
 
 
 def test_where_nothing_is_asked_for_the_unit_is_one():
@@ -692,7 +902,7 @@ def test_of_noisier_data_more_is_settled():
 
 
 def test_a_level_that_keeps_a_weak_direction_leaves_it_blurred_so_that_more_is_settled_below():
-    levels = [Level([[1.0, 0.0, 0.0], [1.0, weak, 0.0]], [1.0, 1.0]) for weak in (1e-3, 1e-6)]
+    levels = [Level([[1.0, 0.0, 0.0], [1.0, weak, 0.0]], [1.0, 1.0]) for weak in (1e-2, 1e-6)]
     strong, weak = (Hierarchy(IKProblem([level])).settled for level in levels)
     assert strong == NOISE
     assert 1e-10 < weak < 1e-8

@@ -15,7 +15,7 @@ ROOT = Path(prioritized_ik.__file__).parent
 
 #: A layer imports those before it; the entries of one layer do not import each other.
 LAYERS = [
-    {"errors"},
+    {"errors", "tolerances"},
     {"validation", "files"},
     {"models"},
     {"virtual_arms"},
@@ -26,7 +26,7 @@ LAYERS = [
     {"cli", "comparisons", "paper_repro"},
 ]
 SOLVERS = {"qpsolvers", "cvxpy", "daqp", "proxsuite", "osqp"}
-FOLD = ("stages", "lexicographic", "refinement", "backends")  # how a step is found, as opposed to proven
+FOLD = ("stages", "stagewise", "lexicographic", "refinement", "backends")  # how a step is found, as opposed to proven
 RANK = {part: rank for rank, layer in enumerate(LAYERS) for part in layer}
 
 
@@ -113,15 +113,15 @@ def test_the_papers_equations_and_strict_levels_know_no_solver(module):
     assert not any(name.split(".")[0] in SOLVERS for name in _reachable(module, _sources()))
 
 
-@pytest.mark.parametrize("module", ["solvers.certificate", "solvers.polish"])
+@pytest.mark.parametrize("module", ["solvers.certificate", "solvers.active_set"])
 def test_the_proof_of_a_step_knows_no_solver(module):
     reached = _reachable(module, _sources())
     assert not any(name.split(".")[0] in SOLVERS for name in reached)
     assert not any(name.startswith(f"{PACKAGE}.solvers.{part}") for part in FOLD for name in reached)
 
 
-def test_the_certificate_does_not_know_the_polish():
-    assert f"{PACKAGE}.solvers.polish" not in _reachable("solvers.certificate", _sources())
+def test_the_certificate_does_not_know_the_active_set():
+    assert f"{PACKAGE}.solvers.active_set" not in _reachable("solvers.certificate", _sources())
 
 
 def test_the_witness_shares_no_code_with_the_solvers():
@@ -162,7 +162,7 @@ def test_the_check_catches_mujoco_behind_another_module():
 
 def test_the_check_catches_a_solver_behind_the_certificate():
     sources = _sources()
-    sources["solvers.cones"] += f"\ndef late():\n    from {PACKAGE}.solvers.stages import Room\n"
+    sources["solvers.subspaces"] += f"\ndef late():\n    from {PACKAGE}.solvers.stages import Room\n"
     assert {"qpsolvers", f"{PACKAGE}.solvers.stages"} <= _reachable("solvers.certificate", sources)
 
 

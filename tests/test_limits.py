@@ -7,7 +7,7 @@ from conftest import Bench, central_difference, relative_error
 from tolerances import DISTANCE_GRADIENT, DISTANCE_STEP, ROUNDING, SABOTAGE
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.limits import OUTSIDE, contact_rows, joint_names, joint_range_bounds, step_bounds
+from prioritized_ik.limits import OUTSIDE, contact_rows, joint_metric, joint_names, joint_range_bounds, step_bounds
 from prioritized_ik.models import Arm, WindingObject, update_kinematics, winding_model
 from prioritized_ik.problem import Rows
 from prioritized_ik.touch import Touch, TouchSensor
@@ -307,3 +307,16 @@ def test_joints_of_several_degrees_of_freedom_are_numbered() -> None:
     body.add_joint(name="root", type=mujoco.mjtJoint.mjJNT_FREE)
     body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0.0, 0.0])
     assert joint_names(spec.compile()) == tuple(f"root[{i}]" for i in range(1, 7))
+
+
+def test_in_the_metric_of_a_model_only_what_translates_counts_in_its_length() -> None:
+    model = mujoco.MjModel.from_xml_string(MIXED)
+    # A free base, a ball, a slide and two hinges.
+    assert joint_metric(model, 0.5).tolist() == [4.0] * 3 + [1.0] * 3 + [1.0] * 3 + [4.0] + [1.0] * 2
+    assert joint_metric(model)[9] == pytest.approx(4.0 / model.stat.extent**2, rel=1e-15)
+
+
+@pytest.mark.parametrize("length", [0.0, -1.0, np.nan, np.inf])
+def test_the_length_of_a_metric_must_be_positive(length: float) -> None:
+    with pytest.raises(InputError, match=r"length is .*; expected a finite number above 0"):
+        joint_metric(mujoco.MjModel.from_xml_string(MIXED), length)

@@ -5,7 +5,7 @@ import numpy as np
 import osqp
 import pytest
 import qpsolvers
-from winding_fixtures import QP_ONLY, constrained_steps, free_steps, recorded
+from winding_fixtures import AS_RECORDED, QP_ONLY, constrained_steps, free_steps, recorded
 
 from prioritized_ik.errors import SolverUnavailableError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
@@ -14,6 +14,7 @@ from prioritized_ik.solvers.backends.abilities import NATIVE, abilities_of
 from prioritized_ik.solvers.backends.native import Answer, NativeBackend, full_pattern
 from prioritized_ik.solvers.backends.protocol import StageResult, WholeBackend
 from prioritized_ik.solvers.backends.registry import get_backend, installed_solvers, known_solvers
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import Hierarchy, strict_solution
 from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage, joint_step, solve
 from prioritized_ik.solvers.stages import Stage
@@ -85,7 +86,7 @@ def relative(found: np.ndarray, wanted: np.ndarray) -> float:
 @pytest.fixture(scope="module")
 def answers() -> list[tuple]:
     """Steps at which rows bind, with their certified answers."""
-    return [(problem, solve(problem, "daqp", QP_ONLY)) for problem in constrained_steps()]
+    return [(problem, solve(problem, "daqp", AS_RECORDED)) for problem in constrained_steps()]
 
 
 def test_every_native_solver_is_known_and_installed():
@@ -106,7 +107,7 @@ def test_a_native_solver_has_its_row_and_version(name):
 def test_a_native_step_ends_on_the_same_rows_as_through_qpsolvers(name, answers):
     backend = get_backend(name)
     for problem, wanted in answers:
-        step = joint_step(problem, backend, QP_ONLY)
+        step = joint_step(problem, backend, AS_RECORDED)
         assert relative(step.raw, wanted.dtheta) <= RAW_ERROR[name]
         assert problem.tight_rows(step.raw, NEAR * float(np.linalg.norm(wanted.dtheta))) == wanted.tight_rows
 
@@ -115,7 +116,7 @@ def test_a_native_step_ends_on_the_same_rows_as_through_qpsolvers(name, answers)
 def test_a_native_step_once_polished_is_the_certified_one(name, answers):
     backend = get_backend(name)
     for problem, wanted in answers:
-        step = joint_step(problem, backend, QP_ONLY)
+        step = joint_step(problem, backend, AS_RECORDED)
         assert step.status is StepStatus.SOLVED
         assert relative(step.dtheta, wanted.dtheta) <= 1e-12  # the same face: what is left is rounding
 
@@ -124,7 +125,7 @@ def test_a_native_step_once_polished_is_the_certified_one(name, answers):
 def test_a_free_step_is_the_closed_form(name):
     backend = get_backend(name)
     for problem in free_steps():
-        step = joint_step(problem, backend, QP_ONLY)
+        step = joint_step(problem, backend, AS_RECORDED)
         assert relative(step.raw, strict_solution(problem.levels, problem.reference)) <= CLOSED_FORM_ERROR
 
 
@@ -132,7 +133,7 @@ def test_a_free_step_is_the_closed_form(name):
 def test_steps_in_a_row_do_not_depend_on_where_they_start(name):
     warm = get_backend(name)
     for problem in list(recorded("up").problems())[60:80]:
-        assert relative(joint_step(problem, warm, QP_ONLY).raw, joint_step(problem, get_backend(name), QP_ONLY).raw) <= (
+        assert relative(joint_step(problem, warm, AS_RECORDED).raw, joint_step(problem, get_backend(name), AS_RECORDED).raw) <= (
             START_ERROR
         )
 
@@ -185,7 +186,7 @@ def test_only_what_changed_is_sent(monkeypatch):
 def test_a_stage_solved_again_takes_fewer_iterations(name):
     cold, warm = [], []
     for problem in constrained_steps():
-        backend, stage = get_backend(name), first_stage(problem, QP_ONLY)
+        backend, stage = get_backend(name), first_stage(problem, AS_RECORDED)
         for iterations in (cold, warm):
             backend.solve(stage)
             iterations.append(backend.iterations)
@@ -201,7 +202,7 @@ def test_a_stage_solved_again_takes_fewer_iterations(name):
 def test_steps_in_a_row_take_fewer_iterations_than_each_from_nothing(name):
     problems, warm, counts = list(recorded("up").problems())[100:140], get_backend(name), np.zeros(2, dtype=int)
     for problem in problems:
-        stage, cold = first_stage(problem, QP_ONLY), get_backend(name)
+        stage, cold = first_stage(problem, AS_RECORDED), get_backend(name)
         for i, backend in enumerate((warm, cold)):
             backend.solve(stage)
             counts[i] += backend.iterations
@@ -209,7 +210,7 @@ def test_steps_in_a_row_take_fewer_iterations_than_each_from_nothing(name):
 
 
 def test_multipliers_follow_their_rows_to_another_position():
-    stage = first_stage(constrained_steps()[2], QP_ONLY)
+    stage = first_stage(constrained_steps()[2], AS_RECORDED)
     turned = np.arange(len(stage.row_ids))[::-1]
     qp = qpsolvers.Problem(stage.problem.P, stage.problem.q, stage.problem.G[turned], stage.problem.h[turned])
     moved = replace(stage, problem=qp, row_ids=stage.row_ids[turned])
@@ -227,7 +228,7 @@ def test_multipliers_follow_their_rows_to_another_position():
 def test_nothing_is_printed(name, capfd):
     backend = get_backend(name)
     for problem in (constrained_steps()[0], free_steps()[0], IKProblem([Level([[1.0, 0.0]], [5.0])])):
-        joint_step(problem, backend, QP_ONLY)
+        joint_step(problem, backend, AS_RECORDED)
     if not isinstance(backend, WholeBackend):
         backend.solve(infeasible())
         backend.solve(first_stage(constrained_steps()[0], SolveOptions("damped")))
@@ -450,7 +451,7 @@ def whole(problem: IKProblem) -> np.ndarray:
 
 def test_the_hierarchical_solver_takes_whole_hierarchies_in_one_call(answers):
     assert isinstance(get_backend("daqp-hierarchy"), WholeBackend)
-    assert joint_step(answers[0][0], get_backend("daqp-hierarchy"), QP_ONLY).calls == 1
+    assert joint_step(answers[0][0], get_backend("daqp-hierarchy"), AS_RECORDED).calls == 1
 
 
 def test_a_levels_weights_count_although_daqp_makes_its_rows_equally_long():
@@ -473,14 +474,14 @@ def test_a_level_that_daqp_loses_is_tried_with_looser_tolerances_and_then_a_fail
         return x, value, 3, info
 
     monkeypatch.setattr(daqp_hierarchy_.daqp, "solve", losing)
-    result = get_backend("daqp-hierarchy", 1e-8).solve_whole(Hierarchy(constrained_steps()[0]))
+    result = get_backend("daqp-hierarchy", 1e-8).solve_whole(Hierarchy(constrained_steps()[0], RANK_TOLERANCE))
     assert result == StageResult(None, "daqp-hierarchy found no solution (exit flag 3)", 3)
     assert seen == [(pytest.approx(factor * 1e-8), rho) for factor, rho in daqp_hierarchy_.ATTEMPTS]
 
 
 def test_values_of_the_hierarchical_solver_that_are_not_finite_are_a_failure(monkeypatch):
     monkeypatch.setattr(daqp_hierarchy_.daqp, "solve", lambda *given, **options: (np.full(49, np.nan), 0.0, 1, {}))
-    result = get_backend("daqp-hierarchy").solve_whole(Hierarchy(constrained_steps()[0]))
+    result = get_backend("daqp-hierarchy").solve_whole(Hierarchy(constrained_steps()[0], RANK_TOLERANCE))
     assert (result.x, result.message) == (None, "daqp-hierarchy returned values that are not finite")
 
 
@@ -489,7 +490,7 @@ def test_what_the_hierarchical_solver_raises_is_a_failure(monkeypatch):
         raise ValueError("buffer")
 
     monkeypatch.setattr(daqp_hierarchy_.daqp, "solve", failing)
-    result = get_backend("daqp-hierarchy").solve_whole(Hierarchy(constrained_steps()[0]))
+    result = get_backend("daqp-hierarchy").solve_whole(Hierarchy(constrained_steps()[0], RANK_TOLERANCE))
     assert (result.x, result.message) == (None, "daqp-hierarchy raised ValueError: buffer")
 
 

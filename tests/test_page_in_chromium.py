@@ -226,3 +226,4 @@ def test_what_a_solver_says_is_text_and_its_problem_can_be_downloaded(page: "pla
     started.value.save_as(tmp_path / "problem.npz")
     assert re.fullmatch(r"[\w.=-]+\.npz", started.value.suggested_filename)
     assert load_problem(tmp_path / "problem.npz").joint_count > 0
+    assert "SolveOptions(rank_tolerance=0.0001)" in page.locator("#failures-view pre").inner_text(), "as it was compared"

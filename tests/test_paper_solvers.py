@@ -244,13 +244,14 @@ def test_all_methods_solve_the_same_damped_problem():
         assert np.linalg.norm(gradient + 1e-3 * damping * dtheta) > 10 * np.linalg.norm(gradient), name
 
 
-def test_a_damping_lost_in_rounding_is_a_failure_of_the_normal_equations_and_an_error_that_grows_by_both():
+def test_a_damping_lost_in_rounding_leaves_the_normal_equations_no_right_digit_and_an_error_that_grows_by_both():
     problem = small_problem()
     (level,) = problem.levels
     root = np.sqrt(level.weights)
     truth = np.linalg.pinv(root[:, None] * level.matrix) @ (root * level.target)
     for damping in (1e-14, 1e-15):
-        assert METHODS[NORMAL](problem, damping) is None
+        answer = METHODS[NORMAL](problem, damping)  # whether the factors exist is up to the machine's rounding
+        assert answer is None or np.linalg.norm(answer - truth) > 0.1 * np.linalg.norm(truth)
         assert METHODS[ORTHOGONAL](problem, damping) is not None
     for name in (NORMAL, ORTHOGONAL):
         small, large = (np.linalg.norm(METHODS[name](problem, damping) - truth) for damping in (1e-12, 1e-10))

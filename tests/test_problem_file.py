@@ -18,11 +18,14 @@ def problem() -> IKProblem:
         [
             Level(rng.normal(size=(3, 5)), rng.normal(size=3), [1.0, 2.0, 200.0], name="hand"),
             Level(rng.normal(size=(1, 5)), [0.5], name="wall", kind="at_most"),
+            Level(rng.normal(size=(1, 5)), [0.2], name="calm", damping=1e-3, below="hold"),
         ],
         Bounds([-np.inf, -0.1, -0.1, -0.1, -0.1], [0.1, 0.1, 0.1, 0.1, np.inf], ["a", "b", "c", "d", "e"]),
         Rows(rng.normal(size=(2, 5)), [0.1, 0.2], ["contact of link 3", "contact of link 4"]),
         rng.normal(size=5),
         Equalities(rng.normal(size=(1, 5)), [0.0], ["held"]),
+        metric=rng.uniform(0.5, 2.0, size=5),
+        noise=1e-7,
     )
 
 
@@ -32,7 +35,7 @@ def content(problem: IKProblem) -> list[object]:
         value.tolist() if isinstance(value, np.ndarray) else value
         for part in parts
         for value in (getattr(part, name) for name in part.__dataclass_fields__)
-    ] + [problem.reference.tolist()]
+    ] + [problem.reference.tolist(), problem.metric.tolist(), problem.noise]
 
 
 def test_a_problem_is_read_as_it_was_written_to_the_last_bit(problem: IKProblem, tmp_path: Path) -> None:
@@ -44,6 +47,12 @@ def test_a_problem_without_rows_is_read_too(tmp_path: Path) -> None:
     bare = IKProblem([Level(np.eye(3), np.ones(3))])
     save_problem(bare, tmp_path / "problem.npz")
     assert content(load_problem(tmp_path / "problem.npz")) == content(bare)
+
+
+def test_a_metric_that_couples_joints_is_read_too(tmp_path: Path) -> None:
+    coupled = IKProblem([], reference=[0.1, 0.2], metric=[[2.0, 0.5], [0.5, 1.0]])
+    save_problem(coupled, tmp_path / "problem.npz")
+    assert content(load_problem(tmp_path / "problem.npz")) == content(coupled)
 
 
 def test_the_file_holds_no_pickle(problem: IKProblem) -> None:

@@ -152,7 +152,7 @@ def test_a_slack_step_keeps_the_rows_and_is_never_polished():
     problem = random_problem(2)
     step = solve(problem, "quadprog", SolveOptions("slack", damping=0.5))
     assert step.status is StepStatus.UNCERTIFIED  # it is another problem than the hierarchy's
-    assert step.dtheta is step.raw
+    assert np.array_equal(step.dtheta, step.raw)
     assert problem.relative_violation(step.dtheta) <= 1e-9
 
 

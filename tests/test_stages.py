@@ -1,6 +1,7 @@
 """Every stage is its level and nothing else: cost, rows and directions, in variables of its own."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from winding_fixtures import QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
-from prioritized_ik.solvers.closed_form import level_decomposition, resulting_displacement, weighted_optimum
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, level_decomposition, resulting_displacement, weighted_optimum
 from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
 from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage
 from prioritized_ik.solvers.stages import FAR_SLACK, FoldState, Stage, damped_stage, level_stage, reference_stage
@@ -17,6 +18,9 @@ from prioritized_ik.solvers.stages import FAR_SLACK, FoldState, Stage, damped_st
 ROUNDING = 1e-12  # sums of some fifty products of doubles, relative to their size
 WEIGHTED = 1e-11  # the same on recorded steps, where weights of 200 and 0.01 meet
 SIDE = 1e-9  # points nearer than this to a row are on neither side of it for sure
+
+#: Recorded steps are the paper's, and so is the rank to which they are cut.
+AS_RECORDED = replace(QP_ONLY, rank_tolerance=RANK_TOLERANCE)
 
 
 def random_problem(seed: int) -> IKProblem:
@@ -73,9 +77,9 @@ def test_the_stages_cost_is_the_levels_cost_in_units_up_to_a_constant(problem):
 
 def test_on_recorded_steps_the_stages_cost_is_that_of_the_decomposed_jacobian():
     for problem in free_steps() + constrained_steps():
-        full, stage = problem.levels[0], first_stage(problem, QP_ONLY)
+        full, stage = problem.levels[0], first_stage(problem, AS_RECORDED)
         # J_a J_b, as some of the steps have a small singular value, which the rank tolerance drops.
-        factors, _, _ = level_decomposition(full, np.eye(49), QP_ONLY.rank_tolerance)
+        factors, _, _ = level_decomposition(full, np.eye(49), RANK_TOLERANCE)
         level = Level(factors.j_a @ factors.j_b, full.target, full.weights)
         unit = np.linalg.norm(np.sqrt(level.weights) * level.target)
         points = np.random.default_rng(0).normal(scale=0.1, size=(5, stage.size))
@@ -156,8 +160,8 @@ def test_the_unconstrained_optimum_maps_back_to_the_closed_forms_displacement(pr
 
 def test_the_unconstrained_optimum_of_a_recorded_step_is_the_closed_forms_displacement():
     for problem in free_steps():
-        level, stage = problem.levels[0], first_stage(problem, QP_ONLY)
-        factors, _, _ = level_decomposition(level, np.eye(49), QP_ONLY.rank_tolerance)
+        level, stage = problem.levels[0], first_stage(problem, AS_RECORDED)
+        factors, _, _ = level_decomposition(level, np.eye(49), RANK_TOLERANCE)
         dx_b = weighted_optimum(factors.j_a, level.weights, level.target)
         assert np.linalg.norm(dx_b) > 0.0
         wanted = level.matrix @ factors.j_b.T @ dx_b
@@ -205,6 +209,71 @@ def test_the_first_stage_starts_at_the_shortest_step_that_keeps_the_equalities_w
     assert stage.origin == pytest.approx([1.0, 1.0, 0.4, 0.0, 0.2], abs=ROUNDING)
     assert stage.size == 3
     assert (stage.problem.h < 0.0).all()  # the bound of the first joint: the solver has to find its way back
+
+
+def test_a_frozen_joint_moves_in_no_stage():
+    problem = IKProblem([some_level("equal")], Bounds([-9.0, 0.3, *[-9.0] * 3], [9.0, 0.3, *[9.0] * 3]))
+    state = FoldState.whole(Hierarchy(problem))
+    stage = level_stage(state)
+    last = reference_stage(state.after(stage.dtheta(np.ones(stage.size)), stage.unfelt))
+    for one in (stage, last):
+        assert np.abs(one.basis[1]).max() <= ROUNDING
+        assert one.origin[1] == pytest.approx(0.3, abs=ROUNDING)
+    assert stage.size == 4
+    assert "joint 2 upper" not in [state.hierarchy.rows.names[i] for i in state.row_ids]
+
+
+# What means nothing, and metrics.
+
+
+@pytest.mark.parametrize("kind", ["equal", "at_most"])
+def test_the_stage_of_a_level_without_rows_has_no_cost_and_every_direction(kind):
+    state = diagonal_state([Level(np.zeros((0, 3)), [], kind=kind)], bounds=Bounds([-1.0] * 3, [1.0] * 3))
+    stage = level_stage(state)
+    assert (stage.costed, stage.size, stage.unfelt.shape) == (0, 3, (3, 3))
+    assert not stage.problem.P.any()
+    assert stage.row_ids.tolist() == list(range(6))
+
+
+def test_without_levels_the_first_stage_to_look_at_is_that_of_the_reference():
+    stage = first_stage(IKProblem([], Bounds([-1.0] * 2, [1.0] * 2), reference=[3.0, 4.0]))
+    assert stage.costed == stage.size == 2
+    assert stage.dtheta(-stage.problem.q) == pytest.approx([3.0, 4.0], rel=1e-15)
+
+
+def test_infinite_sides_and_rows_of_rounding_are_in_no_stage():
+    rows = Rows([[1.0, 0.0], [0.0, 1.0], [0.0, 1e-17]], [np.inf, 2.0, 1.0], ["never", "floor", "rounding"])
+    state = diagonal_state([Level(np.eye(2), [1.0, np.inf], name="room", kind="at_most")], rows=rows)
+    assert state.hierarchy.rows.names == ("floor", "room row 1")
+    assert level_stage(state).row_ids.tolist() == [0, 1]
+
+
+def test_with_fewer_directions_rows_that_cannot_move_are_gone_and_the_others_keep_their_slack():
+    state = diagonal_state([Level([[1.0, 1.0]], [1.0])], rows=Rows(np.eye(2), [3.0, 4.0]))
+    fewer = state.without(np.array([[0.0], [1.0]]))
+    assert (fewer.row_ids.tolist(), fewer.slack.tolist(), fewer.place) == ([1], [4.0], 0)
+    assert np.array_equal(fewer.origin, state.origin)
+
+
+@pytest.mark.parametrize("metric", [[4.0, 1.0, 0.25], [[4.0, 1.0, 0.0], [1.0, 2.0, -0.5], [0.0, -0.5, 1.0]]])
+def test_stages_are_in_the_joint_metric(metric):
+    level = Level([[1.0, 2.0, 3.0], [0.5, -1.0, 0.0]], [0.5, 1.0], [2.0, 1.0])
+    problem = IKProblem([level], Bounds([-1.0] * 3, [1.0] * 3), reference=[0.1, 0.2, 0.3], metric=metric)
+    state = FoldState.whole(Hierarchy(problem))
+    stage = level_stage(state)
+    points = np.random.default_rng(6).normal(size=(10, 3))
+    unit = np.linalg.norm(np.sqrt(level.weights) * level.target)
+    steps = [problem.from_metric(stage.dtheta(x)) for x in points]
+    gaps = [level.cost(step) / (2.0 * unit**2) - objective(stage, x) for step, x in zip(steps, points, strict=True)]
+    assert np.ptp(gaps) <= ROUNDING * np.abs([objective(stage, x) for x in points]).max()
+    for step, x in zip(steps, points, strict=True):
+        assert (stage.problem.G @ x <= stage.problem.h).all() == (np.abs(step) <= 1.0).all()
+    last = reference_stage(state.after(state.origin, np.eye(3)))
+    steps = [problem.from_metric(last.dtheta(x)) - problem.reference for x in points]
+    full = np.diag(metric) if np.ndim(metric) == 1 else np.array(metric)
+    length = np.linalg.norm(last.basis[:, 0])
+    gaps = [s @ full @ s / (2.0 * length**2) - objective(last, x) for s, x in zip(steps, points, strict=True)]
+    assert np.ptp(gaps) <= ROUNDING * np.abs([objective(last, x) for x in points]).max()
 
 
 # Lower levels.

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 
 from prioritized_ik.problem import IKProblem
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.winding.episode import Episode, wind
@@ -13,17 +14,20 @@ from prioritized_ik.winding.settings import WindingSettings
 #: Every step goes through the QP, also those that the closed form would answer.
 QP_ONLY = SolveOptions(closed_form_first=False)
 
+#: The same with the rank cut as in all that reproduces the paper: what windings are recorded with.
+AS_RECORDED = SolveOptions(rank_tolerance=RANK_TOLERANCE, closed_form_first=False)
+
 MET = 1e-12  # a row broken by less than this fraction of the step is broken by rounding only
 
 
 @cache
 def recorded(direction: str = "up", solver: str = "daqp", link: int = 6, tilt: float = 0.0) -> Episode:
-    return wind(WindingSettings(direction=direction, solver=solver, link=link, tilt=tilt, options=QP_ONLY))
+    return wind(WindingSettings(direction=direction, solver=solver, link=link, tilt=tilt, options=AS_RECORDED))
 
 
 @cache
 def short_episode() -> Episode:
-    return wind(WindingSettings(max_steps=25, options=QP_ONLY))
+    return wind(WindingSettings(max_steps=25, options=AS_RECORDED))
 
 
 @cache

@@ -38,6 +38,8 @@ BELOW = ("free", "hold")
 
 Record = TypeVar("Record")
 
+LEAST_METRIC = 1e-100  # its root divides rows, whose squares must not overflow
+
 NOISIEST = 1e-2  # data with more noise than this decide nothing
 
 
@@ -287,10 +289,18 @@ class IKProblem:
         root = self.metric_root
         if root.ndim == 1 and (root == 1.0).all():
             return self
-        m, bounds, rows = self.joint_count, self.bounds, self.rows
+        m, bounds, rows, equalities = self.joint_count, self.bounds, self.rows, self.equalities
         if root.ndim == 1:
             bounds = trusted(Bounds, lower=bounds.lower * root, upper=bounds.upper * root, names=bounds.names)
         else:
+            frozen = bounds.lower == bounds.upper
+            names = tuple(f"{name} frozen" for name, keep in zip(bounds.names, frozen, strict=True) if keep)
+            equalities = trusted(
+                Equalities,
+                matrix=np.vstack([np.eye(m)[frozen], equalities.matrix]),
+                target=np.append(bounds.lower[frozen], equalities.target),
+                names=(*names, *equalities.names),
+            )
             bounds, rows = Bounds.none(m), self.inequalities
         return trusted(
             IKProblem,
@@ -298,7 +308,7 @@ class IKProblem:
             bounds=bounds,
             rows=replaced(rows, matrix=self._divided(rows.matrix)),
             reference=self.to_metric(self.reference),
-            equalities=replaced(self.equalities, matrix=self._divided(self.equalities.matrix)),
+            equalities=replaced(equalities, matrix=self._divided(equalities.matrix)),
             metric=np.ones(m),
             noise=self.noise,
         )
@@ -386,10 +396,13 @@ class IKProblem:
         scaled, u = self.in_metric, self.to_metric(np.asarray(dtheta, dtype=float))
         above = scaled.inequalities.matrix @ u - scaled.inequalities.upper
         off = np.abs(scaled.equalities.matrix @ u - scaled.equalities.target)
-        zero = scaled.zero_length
+        fixed = scaled.equality_lengths > scaled.zero_length
         return max(
-            float(np.where(sizes > zero, distances / np.maximum(sizes, np.finfo(float).tiny), 0.0).max(initial=0.0))
-            for distances, sizes in ((above, scaled.row_lengths), (off, scaled.equality_lengths))
+            float(np.where(real, distances / np.where(real, sizes, 1.0), 0.0).max(initial=0.0))
+            for distances, sizes, real in (
+                (above, scaled.row_lengths, scaled.real_rows),
+                (off, scaled.equality_lengths, fixed),
+            )
         )
 
     def relative_violation(self, dtheta: ArrayLike) -> float:
@@ -401,7 +414,7 @@ class IKProblem:
         """Return the names of the bounds and rows within `tolerance` of binding at `dtheta`, a distance in the metric."""
         scaled, u = self.in_metric, self.to_metric(np.asarray(dtheta, dtype=float))
         slack = scaled.inequalities.upper - scaled.inequalities.matrix @ u
-        tight = (slack <= tolerance * scaled.row_lengths) & (scaled.row_lengths > scaled.zero_length)
+        tight = (slack <= tolerance * scaled.row_lengths) & scaled.real_rows
         return tuple(name for name, is_tight in zip(scaled.inequalities.names, tight, strict=True) if is_tight)
 
     @cached_property
@@ -413,6 +426,13 @@ class IKProblem:
         longest = [1.0, *(lengths(level.matrix).max(initial=0.0) for level in self.in_metric.levels)]
         longest += [self.in_metric.row_lengths.max(initial=0.0), self.in_metric.equality_lengths.max(initial=0.0)]
         return self.noise * float(max(longest))
+
+    @cached_property
+    def real_rows(self) -> NDArray[np.bool_]:
+        """Which of the `inequalities` `(r,)` are more than rounding, in a problem in its metric; bounds always are."""
+        real = self.row_lengths > self.zero_length
+        real[: len(real) - int(np.isfinite(self.rows.upper).sum())] = True
+        return read_only(real)
 
     @cached_property
     def row_lengths(self) -> Array:
@@ -443,6 +463,9 @@ class IKProblem:
 def trusted(kind: type[Record], /, **fields: object) -> Record:
     """Return a record of `kind` with fields that need no check: arrays that this package made of checked ones."""
     record = object.__new__(kind)
+    for value in fields.values():
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
     _set(record, **fields)
     return record
 
@@ -460,14 +483,18 @@ def _positive_metric(metric: ArrayLike, m: int) -> Array:
         skew = float(np.abs(matrix - matrix.T).max(initial=0.0))
         if skew > NOISE * float(np.abs(matrix).max(initial=0.0)):
             raise InputError(f"metric differs from its transpose by {skew:g}; expected a symmetric matrix.")
-        least = float(np.linalg.eigvalsh(matrix)[0]) if m else 1.0
-        if least <= NOISE * float(np.trace(matrix)):
-            raise InputError(f"metric has the eigenvalue {least:g}; expected a positive definite matrix.")
+        _positive_metric(np.diag(matrix), m)
+        roots = np.sqrt(np.diag(matrix))
+        least = float(np.linalg.eigvalsh(matrix / np.outer(roots, roots))[0]) if m else 1.0  # whatever the joints' units
+        if least <= m * NOISE:
+            raise InputError(
+                f"metric is singular (eigenvalue {least:g} at unit diagonal); expected a positive definite matrix."
+            )
         return matrix
     diagonal = finite_array("metric", metric, (m,))
-    if (diagonal <= 0.0).any():
+    if (diagonal <= LEAST_METRIC).any():
         place = int(np.argmin(diagonal))
-        raise InputError(f"metric[{place}] is {diagonal[place]}; expected numbers above 0.")
+        raise InputError(f"metric[{place}] is {diagonal[place]}; expected numbers above 0, and above {LEAST_METRIC:g}.")
     return diagonal
 
 

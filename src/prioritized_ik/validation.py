@@ -78,8 +78,8 @@ def shaped_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
         raise InputError(f"{name}{place} is nan; expected numbers only.")
     beyond = np.isfinite(array) & (np.abs(array) > LARGEST)
     if beyond.any():
-        place = tuple(int(i) for i in np.argwhere(beyond)[0])
-        raise InputError(f"{name}{list(place)} is {array[place]}; expected at most {LARGEST:g}: choose other units.")
+        place = [int(i) for i in np.argwhere(beyond)[0]]
+        raise InputError(f"{name}{place} is {array[tuple(place)]}; expected at most {LARGEST:g}: choose other units.")
     array.setflags(write=False)
     return array
 

@@ -1,7 +1,7 @@
 "use strict";
 // Failures as cards, with problems to download.
 
-function failureCards(box, failures) {
+function failureCards(box, failures, rankTolerance) {
   const { groups, files } = failures;
   if (!groups.length) {
     box.append(el("p", {}, "None found among the replayed steps and the driven windings."));
@@ -22,7 +22,8 @@ function failureCards(box, failures) {
   if (Object.keys(files).length) {
     box.append(el("p", { class: "note" }, "A problem is a .npz file of plain arrays. To solve it with a solver of your choice:"),
       el("pre", {}, 'import prioritized_ik as pik\nfrom comparisons.problem_file import load_problem\n\n'
-        + 'problem = load_problem("up-112.npz")\nprint(pik.solve(problem, solver="daqp").certificate)'));
+        + `options = pik.SolveOptions(rank_tolerance=${rankTolerance})\n`
+        + 'problem = load_problem("up-112.npz")\nprint(pik.solve(problem, solver="daqp", options=options).certificate)'));
   }
 
   function link(one) {

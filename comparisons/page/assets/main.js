@@ -10,7 +10,8 @@
   verdictTable(place("verdict-table"), data.verdicts);
   new Replay(place("replay-view"), data.replays);
   heatmap(place("agreement-view"), data.series, data.agreement);
-  failureCards(place("failures-view"), data.failures);
+  const facts = new Map(data.facts);
+  failureCards(place("failures-view"), data.failures, facts.get("settings: rank_tolerance"));
 
   const legend = new Legend(data.series, looks(data.series));
   const { ratios, kinds, first } = data.profiles;

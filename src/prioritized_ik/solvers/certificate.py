@@ -32,8 +32,10 @@ from numpy.typing import ArrayLike, NDArray
 from prioritized_ik.problem import IKProblem, Level, trusted
 from prioritized_ik.solvers.hierarchy import HARD, Hierarchy, Shortfall
 from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
-from prioritized_ik.tolerances import CERTIFIED, GAP, NOTHING, ROUNDING, UNDECIDED, UNFELT
+from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, NOTHING, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, finite_array, fraction, length, lengths
+
+LEAKS = 1e-5  # of the step: leaks of strong rows into weak directions up to this are looked at in double precision only
 
 LEAST_DEMAND = 1e-6  # of what a step of this size can do to a level: a level that asks for less asks for nothing
 
@@ -267,6 +269,10 @@ class Proof:
         near = near[rows.reach(near, free) > self._hierarchy.settled]
         held = np.isfinite(self._leak[near])  # by a level above: of either sign here
         all_lengths = np.concatenate([felt_lengths, unfelt_lengths])
+        steepness, strength = self._sensitivity(level)
+        follows = strength * float(np.linalg.norm(felt.felt)) if felt.felt.size else 0.0
+        # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
+        leaks = EPS * follows * math.sqrt(level.cost(self._u)) * max(felt_lengths, default=0.0)
         for extended in (False, True):
             blur = ROUNDING * terms
             if extended and not level.is_soft:
@@ -278,7 +284,9 @@ class Proof:
             beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
             displacement = -(basis @ beyond)
             # Where double precision cannot tell, once more in extended.
-            if explained <= UNDECIDED * self.scale and length(displacement) <= self.tolerance * self.scale:
+            explained = explained if extended else max(explained, leaks)
+            decided = max(explained / UNDECIDED, length(displacement) / self.tolerance, leaks / LEAKS) <= self.scale
+            if decided:
                 break
         normals, sizes, combination = balance.normals, balance.sizes, balance.combination
         net = combination[: len(near)].copy()
@@ -296,8 +304,6 @@ class Proof:
         away = np.where(away > self._hierarchy.settled, away, rows.reach(near, free))
         loosened = float((np.where(held & (net < 0.0), 0.0, np.abs(self.slack[near])) / away)[moved].sum())
         # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
-        steepness, strength = self._sensitivity(level)
-        follows = strength * float(np.linalg.norm(felt.felt)) if felt.felt.size else 0.0
         off = self._off * (1.0 + follows)
         above = max(self._above, off)
         self._above = max(self._above, explained, loosened)

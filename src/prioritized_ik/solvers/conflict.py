@@ -106,7 +106,8 @@ def _hard_rows(problem: IKProblem) -> _HardRows:
     equal_owners = len(rows.upper) + np.arange(len(equal.target))
     owners = np.concatenate([np.arange(len(rows.upper)), equal_owners, equal_owners])
     sizes = lengths(matrix)
-    some = sizes > problem.zero_length
+    fixed = problem.equality_lengths > problem.zero_length
+    some = np.concatenate([problem.real_rows, fixed, fixed])
     return _HardRows(matrix[some] / sizes[some, None], sides[some] / sizes[some], owners[some])
 
 

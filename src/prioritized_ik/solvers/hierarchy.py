@@ -312,11 +312,7 @@ def _without(matrix: Array, directions: Array) -> Array:
 def impossible_rows(problem: IKProblem, allowed: float) -> tuple[str, ...]:
     """Return the names of hard rows of a problem in its metric that are rounding, and broken by more than `allowed`."""
     zero, hard, fixed = problem.zero_length, problem.inequalities, problem.equalities
-    broken = [
-        n
-        for n, size, side in zip(hard.names, problem.row_lengths, hard.upper, strict=True)
-        if size <= zero and side < -allowed
-    ]
+    broken = [hard.names[i] for i in np.flatnonzero(~problem.real_rows & (hard.upper < -allowed))]
     sides = zip(fixed.names, problem.equality_lengths, fixed.target, strict=True)
     return (*broken, *(name for name, size, side in sides if size <= zero and abs(side) > allowed))
 
@@ -344,9 +340,10 @@ def _without_rounding(problem: IKProblem) -> tuple[IKProblem, tuple[str, ...], l
     hard = problem.inequalities
     of_rows = slice(len(hard.upper) - int(np.isfinite(problem.rows.upper).sum()), None)
     some = np.isfinite(problem.rows.upper)
-    some[some] = problem.row_lengths[of_rows] > zero
+    some[some] = problem.real_rows[of_rows]
     fixed = problem.equality_lengths > zero
-    zeros += [name for name, size in zip(hard.names, problem.row_lengths, strict=True) if 0.0 < size <= zero]
+    little = ~problem.real_rows & (problem.row_lengths > 0.0)
+    zeros += [hard.names[i] for i in np.flatnonzero(little)]
     zeros += [
         name for name, size in zip(problem.equalities.names, problem.equality_lengths, strict=True) if 0.0 < size <= zero
     ]

@@ -191,8 +191,11 @@ def _undamped_step(problem: IKProblem, solver: Solver, options: SolveOptions) ->
         options = replace(options, polish=False)
     else:
         if options.closed_form_first and _meets_every_row(hierarchy):
-            step = _step(problem, hierarchy, hierarchy.closed_form, Proof(hierarchy, hierarchy.closed_form), free=True)
-            return replace(step, timings=clock.timings())
+            u, proof = hierarchy.closed_form, Proof(hierarchy, hierarchy.closed_form)
+            if not proof.certificate.holds:  # ill-conditioned: the kernel improves it
+                better = active_set.solve(hierarchy, np.zeros(len(hierarchy.rows.upper), dtype=bool), u)
+                u, proof = better.u, better.proof
+            return replace(_step(problem, hierarchy, u, proof, free=True), timings=clock.timings())
         if isinstance(solver, ActiveSet):
             answer = hierarchy.start
             timings = clock.timings()

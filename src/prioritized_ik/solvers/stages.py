@@ -55,7 +55,7 @@ class Stage:
     exceeded: Callable[[Array], NDArray[np.bool_]] | None = None
 
     def dtheta(self, x: Array) -> Array:
-        """Return the joint step `(m,)` [rad] at the variables `x`."""
+        """Return the step u `(m,)`, in the joint metric, at the variables `x`; dθ where the metric is ones."""
         return self.origin + self.basis @ x
 
     @property
