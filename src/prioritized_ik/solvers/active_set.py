@@ -36,7 +36,7 @@ class Solution:
         iterations: how often the set was corrected.
         converged: whether the optimum was found; if not, even a start whose certificate holds is the guess's, not the one
             that all guesses share.
-        trace: what was done in turn: "add" or "drop", and the names of the rows.
+        trace: what was done in turn: "add", "drop" or "instead", and the names of the rows.
     """
 
     u: Array
@@ -59,6 +59,9 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
     """
     rows, u, visited = hierarchy.rows, origin, set[bytes]()
     trace: list[tuple[str, tuple[str, ...]]] = []
+    at_proof = origin
+    alternatives: Iterator[Active] = iter(())
+    following: Active | None
 
     def note(what: str, changed: Active) -> None:
         trace.append((what, tuple(rows.names[i] for i in np.flatnonzero(changed))))
@@ -80,9 +83,14 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
             first = float(reach.min())
             u = u + first * (target - u)
             note("add", reach <= first)
-            active = active | (reach <= first)
-            if active.tobytes() in visited:
-                break
+            following = active | (reach <= first)
+            if following.tobytes() in visited:  # the row dropped last was the wrong one
+                u = at_proof
+                following = next((new for new in alternatives if new.tobytes() not in visited), None)
+                if following is None:
+                    break
+                note("instead", active ^ following)
+            active = following
             continue
         u = target
         proof = Proof(hierarchy, u)
@@ -91,8 +99,10 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
             return Solution(u, proof, active, iterations, converged=True, trace=tuple(trace))
         refined = _refined(hierarchy, u, proof)
         if refined is not None:
-            return Solution(*refined, active, iterations, converged=True, trace=tuple(trace))
-        following = next((new for new in _corrected(proof, active) if new.tobytes() not in visited), None)
+            u, proof, active = _from_all_tight_rows(hierarchy, *refined, active)
+            return Solution(u, proof, active, iterations, converged=True, trace=tuple(trace))
+        at_proof, alternatives = u, _corrected(proof, active)
+        following = next((new for new in alternatives if new.tobytes() not in visited), None)
         if following is None:
             break
         note("drop", active & ~following)
@@ -173,7 +183,8 @@ def _from_all_tight_rows(hierarchy: Hierarchy, u: Array, proof: Proof, active: A
         return u, proof, active
     same = face_solution(hierarchy, proof.ends_on)
     again = Proof(hierarchy, same)
-    return (same, again, proof.ends_on) if again.certificate.holds else (u, proof, active)
+    better = (same, again) if again.certificate.holds else _refined(hierarchy, same, again)
+    return (u, proof, active) if better is None else (*better, proof.ends_on)
 
 
 def _refined(hierarchy: Hierarchy, u: Array, proof: Proof) -> tuple[Array, Proof] | None:
