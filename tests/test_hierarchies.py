@@ -28,12 +28,13 @@ from hypothesis import strategies as st
 from winding_fixtures import QP_ONLY
 
 from prioritized_ik.errors import WitnessError
-from prioritized_ik.problem import IKProblem, Level, step_scale
+from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.backends.registry import get_backend
-from prioritized_ik.tolerances import CERTIFIED
-from prioritized_ik.solvers.lexicographic import AnyBackend, joint_step
+from prioritized_ik.solvers.backends.protocol import AnyBackend
+from prioritized_ik.solvers.lexicographic import joint_step
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.solvers.witness import witness_step
+from prioritized_ik.tolerances import CERTIFIED, GAP, UNDECIDED
 
 PLANTED = 1e-9  # relative: conditions that were planted hold to rounding, measured 5e-15 at worst
 MOVED = 1e-4  # of a step: what a check that deserves the name must see
@@ -192,8 +193,11 @@ def certified(step: JointStep) -> bool:
     if not step.found:
         return False
     assert step.certificate.holds == (step.status is not StepStatus.UNCERTIFIED)
-    assert step.certificate.holds == (step.certificate.worst <= CERTIFIED)
-    return step.certificate.holds
+    certificate = step.certificate
+    optimal = certificate.worst <= CERTIFIED and max(certificate.relative_gaps[:-1], default=0.0) <= GAP
+    assert certificate.is_optimal == optimal
+    assert certificate.holds == (optimal and certificate.variation <= UNDECIDED)
+    return certificate.holds
 
 
 def assert_planted(known: KnownHierarchy, solver: str) -> None:
@@ -307,7 +311,7 @@ def test_campaign_of_unplanned_problems(request, capsys):
         step, witness = tally.solve(seed, problem, backend), witnessed(problem)
         if step is not None and witness is not None:
             witnesses += 1
-            tally.errors.append(float(np.linalg.norm(step.dtheta - witness)) / step_scale(step.dtheta))
+            tally.errors.append(float(np.linalg.norm(step.dtheta - witness)) / float(np.linalg.norm(step.dtheta)))
             worse = first_worse(problem, step.dtheta, witness)
             if worse is not None:
                 tally.wrong.append(f"{seed}: {worse}")

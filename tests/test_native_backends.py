@@ -133,9 +133,9 @@ def test_a_free_step_is_the_closed_form(name):
 def test_steps_in_a_row_do_not_depend_on_where_they_start(name):
     warm = get_backend(name)
     for problem in list(recorded("up").problems())[60:80]:
-        assert relative(joint_step(problem, warm, AS_RECORDED).raw, joint_step(problem, get_backend(name), AS_RECORDED).raw) <= (
-            START_ERROR
-        )
+        assert relative(
+            joint_step(problem, warm, AS_RECORDED).raw, joint_step(problem, get_backend(name), AS_RECORDED).raw
+        ) <= (START_ERROR)
 
 
 @pytest.mark.parametrize("name", STAGED)

@@ -18,8 +18,8 @@ NOISE = 1e-12
 DEPENDENT = 1e-11
 
 #: [–] How much of a row must be left by the levels above, as a fraction of the rank tolerance, to count as a row. With the
-#: windings' 1e-4 that is 3e-7: along them the fraction takes every value, and up to 2e-7 a row could be kept only by
-#: motions a million times its own size.
+#: windings' 1e-4 that is 1e-9: along them the fraction takes every value. At 3e-7 a level's loss had no bound; at rounding
+#: one step in ten is decided by it.
 SETTLED_PER_RANK_TOLERANCE = 1e-5
 
 #: [–] Rounding of a projection, in units of `EPS`, for up to a hundred joints.
@@ -74,6 +74,10 @@ ACCEPTED_VIOLATION = 1e-6
 
 #: [of the step] A row this close to a stage's answer is tight: ten times what a solver at accuracy 1e-8 leaves open.
 TIGHT = 1e-7
+
+#: [–] The same fraction in the QPs that a solver gets: what it is divided by makes rounding of 1e-16 a constraint off by
+#: 1e-9. A solver makes a guess, which the kernel corrects.
+SETTLED_FOR_SOLVERS = 3e-7
 
 #: [–] Tight rows that leave a wedge narrower than this leave no room to a QP solver: all fail on narrower ones.
 NARROW = 1e-5

@@ -30,7 +30,7 @@ from prioritized_ik.solvers.stages import FoldState, Stage, damped_stage, level_
 from prioritized_ik.solvers.stagewise import stagewise
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.solvers.subspaces import directions_left
-from prioritized_ik.tolerances import ACCEPTED_VIOLATION, FREE, NARROW, TIGHT
+from prioritized_ik.tolerances import ACCEPTED_VIOLATION, FREE, NARROW, SETTLED_FOR_SOLVERS, TIGHT
 from prioritized_ik.validation import Array, fraction, non_negative, one_of
 
 FORMULATIONS = ("lexicographic", "damped", "slack")
@@ -287,7 +287,7 @@ def _fold(hierarchy: Hierarchy, backend: AnyBackend, clock: _Clock) -> Array | s
         result = clock.timed(partial(cast(WholeBackend, backend).solve_whole, hierarchy))
         return result.message if result.x is None else result.x
     solver = cast(Backend, backend)
-    state = FoldState.whole(hierarchy)
+    state = FoldState.whole(hierarchy, SETTLED_FOR_SOLVERS)
     for level in hierarchy.problem.levels:
         stage = level_stage(state)
         if not stage.costed and not len(stage.row_ids):
@@ -298,7 +298,7 @@ def _fold(hierarchy: Hierarchy, backend: AnyBackend, clock: _Clock) -> Array | s
             return f"level {level.name!r}: {result.message}"
         u = stage.dtheta(result.x)
         left = state.after(u, stage.unfelt)
-        free = directions_left(left.free, left.rows[left.slack <= TIGHT * hierarchy.length], NARROW, hierarchy.settled)
+        free = directions_left(left.free, left.rows[left.slack <= TIGHT * hierarchy.length], NARROW, state.settled)
         state = left if free is left.free else left.without(free)
         if not free.shape[1]:
             return u

@@ -81,6 +81,7 @@ class FoldState:
         row_ids: the pooled rows that count and can still move `(r,)`.
         slack: how far `origin` is from each `(r,)` [rad]; once a stage is solved not negative, so that `origin` itself is
             feasible.
+        settled: rows that move by no more than this fraction of their length do not count.
     """
 
     hierarchy: Hierarchy
@@ -89,14 +90,21 @@ class FoldState:
     free: Array
     row_ids: NDArray[np.int_]
     slack: Array
+    settled: float
 
     @staticmethod
-    def whole(hierarchy: Hierarchy) -> "FoldState":
-        """Return the state before the first level: everything that the equalities leave."""
+    def whole(hierarchy: Hierarchy, settled: float = 0.0) -> "FoldState":
+        """Return the state before the first level: everything that the equalities leave.
+
+        Args:
+            hierarchy: the problem.
+            settled: of rows, if more than what is rounding, `hierarchy.settled`.
+        """
+        settled = max(settled, hierarchy.settled)
         rows, free = hierarchy.rows, hierarchy.free
         hard = np.flatnonzero(rows.level == HARD)
-        hard = hard[rows.reach(hard, free) > hierarchy.settled]
-        return FoldState(hierarchy, 0, hierarchy.start, free, hard, rows.slack(hierarchy.start)[hard])
+        hard = hard[rows.reach(hard, free) > settled]
+        return FoldState(hierarchy, 0, hierarchy.start, free, hard, rows.slack(hierarchy.start)[hard], settled)
 
     @property
     def rows(self) -> Array:
@@ -112,13 +120,13 @@ class FoldState:
         own = np.flatnonzero(self.hierarchy.rows.level == self.place)
         ids = np.concatenate([self.row_ids, own])
         rows = self.hierarchy.rows
-        moving = rows.reach(ids, free) > self.hierarchy.settled
-        ids = ids[moving]
-        return FoldState(self.hierarchy, self.place + 1, origin, free, ids, np.maximum(rows.slack(origin)[ids], 0.0))
+        ids = ids[rows.reach(ids, free) > self.settled]
+        slack = np.maximum(rows.slack(origin)[ids], 0.0)
+        return FoldState(self.hierarchy, self.place + 1, origin, free, ids, slack, self.settled)
 
     def without(self, free: Array) -> "FoldState":
         """Return the state with only `free` directions left."""
-        moving = self.hierarchy.rows.reach(self.row_ids, free) > self.hierarchy.settled
+        moving = self.hierarchy.rows.reach(self.row_ids, free) > self.settled
         return replace(self, free=free, row_ids=self.row_ids[moving], slack=self.slack[moving])
 
 
