@@ -58,8 +58,26 @@ def test_hierarchies_with_an_optimum_have_no_conflict(seed):
     assert find_conflict(random_hierarchy(seed).problem) is None
 
 
-def test_a_contradiction_below_a_billionth_of_a_radian_is_rounding():
-    assert find_conflict(problem(1, equal=Equalities([[1.0], [1.0]], [0.5, 0.5 + 1e-9]))) is None
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e3])
+def test_a_contradiction_below_a_billionth_of_the_sides_is_rounding(scale):
+    for excess, contradicts in ((0.9e-9, False), (1.1e-9, True)):
+        sides = scale * np.array([0.5, 0.5 + excess])  # half way, each is off by half of it
+        conflict = find_conflict(problem(1, equal=Equalities([[1.0], [1.0]], sides)))
+        assert (conflict is not None) == contradicts
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e3])
+def test_rows_that_say_the_same_to_eight_digits_and_differ_in_their_sides_are_named(scale):
+    row, other = [0.1234567, -0.7654321, 0.3], [-0.33558709, 2.08065026, -0.81548454]  # times -2.7182818, rounded
+    given = problem(
+        3,
+        Bounds(np.full(3, -scale), np.full(3, scale)),
+        Rows([row], [-0.01 * scale - 3e-8 * scale], ["limit"]),
+        Equalities([other], [0.027182818 * scale], ["hold"]),
+    )
+    conflict = find_conflict(given)
+    # Along what the two differ in, bounds of a hundred times the sides leave no way out.
+    assert conflict is None or {"limit", "hold"} <= set(conflict.names)
 
 
 # By hand.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hierarchies import EVERYTHING, KnownHierarchy, Press, random_hierarchy, settled_before, solution_on
 from tolerances import ORACLE, ROUNDING
-from winding_fixtures import AS_RECORDED, QP_ONLY, constrained_steps, free_steps
+from winding_fixtures import QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
 from prioritized_ik.solvers.backends.registry import get_backend

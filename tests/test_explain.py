@@ -11,10 +11,12 @@ from winding_fixtures import constrained_steps
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.backends.registry import get_backend
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.explain import Concession, explain
 from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step, solve
 from prioritized_ik.solvers.step import JointStep, StepStatus
 
+CUT_AS_RECORDED = SolveOptions(rank_tolerance=RANK_TOLERANCE)
 PLANTED = SolveOptions(rank_tolerance=1e-7)  # what the planted problems are to be solved with
 
 
@@ -159,6 +161,47 @@ def test_the_tolerance_grows_with_the_target(size):
     assert found.tolerance == pytest.approx(1e-8 * size * np.hypot(3.0, 8.0), rel=ROUNDING)
 
 
+# What was cut.
+
+
+#: y is asked for by a row of 1e-5 of what the row of x has.
+WEAK = IKProblem([Level(np.diag([1.0, 1e-5]), [1.0, 1.0], name="reach")])
+
+
+def test_what_a_cut_left_undone_is_told_and_by_how_much():
+    (found,) = explained(WEAK, CUT_AS_RECORDED)
+    assert not found.gave_way  # alone, it is cut too
+    assert found.undone == pytest.approx(1.0, rel=ROUNDING)
+    assert str(found) == "reach: error 1; 1 of it left undone along directions that were cut"
+
+
+def test_what_is_not_cut_is_as_if_it_were_alone():
+    (found,) = explained(WEAK)
+    assert found.undone == 0.0
+    assert found.error == pytest.approx(0.0, abs=ROUNDING)
+    assert str(found).endswith(", as if it were alone")
+
+
+@pytest.mark.parametrize("undone", [2e-8, 1e-3, 0.1])
+@pytest.mark.parametrize("error", [0.1, 0.6])
+def test_nothing_is_as_if_it_were_alone_where_something_was_cut(undone, error):
+    text = str(concession(error=error, undone=undone, held_by=("knee upper",)))
+    assert "as if it were alone" not in text
+    assert f"{undone:.3g} of it left undone along directions that were cut" in text
+
+
+@pytest.mark.parametrize("cost", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
+def test_a_weak_posture_among_the_rows_of_a_task_is_followed_or_said_to_be_cut(cost):
+    rng = np.random.default_rng(0)
+    matrix, wanted, posture = rng.normal(size=(3, 7)), np.array([0.02, -0.01, 0.03]), rng.normal(size=7) * 0.1
+    problem = IKProblem([Level(np.vstack([matrix, cost * np.eye(7)]), np.concatenate([wanted, cost * posture]))])
+    for options in (SolveOptions(), CUT_AS_RECORDED):
+        step = solve(problem, options=options)
+        missing = np.linalg.norm(np.linalg.svd(matrix)[2][3:] @ (step.dtheta - posture))
+        text = str(explain(problem, step, options)[0])
+        assert (missing <= 1e-6) == ("were cut" not in text)
+
+
 # Rows that were softened.
 
 
@@ -203,7 +246,7 @@ def test_errors_are_those_of_smaller_problems(seed):
 def test_a_winding_step_gives_way_to_named_bounds_and_contacts():
     gave_way = 0
     for problem in constrained_steps():
-        (found,) = explained(problem)
+        (found,) = explained(problem, CUT_AS_RECORDED)
         names = problem.inequalities.names
         assert set(found.held_by) <= set(names)
         assert found.held_by

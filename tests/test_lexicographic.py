@@ -15,9 +15,10 @@ from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.certificate import certify
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import Hierarchy, strict_solution
-from prioritized_ik.solvers.lexicographic import ACCEPTED_VIOLATION, SolveOptions, joint_step, solve
+from prioritized_ik.solvers.lexicographic import SolveOptions, get_solver, joint_step, solve
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.solvers.step import StepStatus
+from prioritized_ik.tolerances import ACCEPTED_VIOLATION
 
 #: The solver's own answer, by the QP stages alone.
 RAW = SolveOptions(closed_form_first=False, polish=False)
@@ -516,3 +517,246 @@ def test_the_times_of_a_solve_are_inside_and_outside_the_backend_and_of_the_poli
     step = solve(constrained_steps()[0], "daqp", QP_ONLY)
     assert min(step.timings.build, step.timings.solve, step.timings.polish) > 0.0
     assert step.timings.total == step.timings.build + step.timings.solve + step.timings.polish
+
+
+# Damped levels.
+
+
+def damped_least_squares(level: Level, metric: np.ndarray) -> np.ndarray:
+    """What the damped level reaches alone: (AᵀWA + δM)⁻¹ AᵀW b."""
+    weighted = level.matrix.T * level.weights
+    return np.linalg.solve(weighted @ level.matrix + level.damping * np.diag(metric), weighted @ level.target)
+
+
+def damped_problem(seed: int, below: str) -> IKProblem:
+    """A damped level with a weak direction, and a posture below it, in a metric of its own."""
+    rng = np.random.default_rng(seed)
+    matrix = np.linalg.qr(rng.normal(size=(6, 3)))[0].T * np.array([[1.0], [0.3], [1e-3]])
+    reach = Level(matrix, rng.normal(size=3), rng.uniform(0.5, 2.0, 3), "reach", damping=1e-2, below=below)
+    return IKProblem([reach, Level(np.eye(6), rng.normal(size=6), name="posture")], metric=rng.uniform(0.3, 3.0, 6))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_damped_level_reaches_what_damped_least_squares_reaches(seed):
+    for below in ("free", "hold"):
+        problem = damped_problem(seed, below)
+        reach = problem.levels[0]
+        wanted = reach.matrix @ damped_least_squares(reach, problem.metric)
+        step = solve(problem)
+        assert reach.matrix @ step.dtheta == pytest.approx(wanted, abs=EXACT)
+        # The damping is felt: undamped, the weak direction would be met, by a step a hundred times as long.
+        assert np.abs(wanted - reach.target).max() > 1e-2
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_damped_level_leaves_those_below_every_motion_that_does_not_change_what_it_reaches(seed):
+    problem = damped_problem(seed, "free")
+    reach, posture = problem.levels
+    start = damped_least_squares(reach, problem.metric)
+    null = np.linalg.svd(reach.matrix)[2][3:].T
+    wanted = start + null @ np.linalg.lstsq(null, posture.target - start)[0]
+    assert solve(problem).dtheta == pytest.approx(wanted, abs=EXACT)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_damped_level_that_holds_leaves_nothing_to_those_below(seed):
+    problem = damped_problem(seed, "hold")
+    step = solve(problem)
+    assert step.dtheta == pytest.approx(damped_least_squares(problem.levels[0], problem.metric), abs=EXACT)
+
+
+@pytest.mark.parametrize("below", ["free", "hold"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_damped_level_under_bounds_is_bounded_least_squares_of_its_rows_and_its_damping(seed, below):
+    rng = np.random.default_rng(seed)
+    reach = Level(rng.normal(size=(3, 5)), 3.0 * rng.normal(size=3), rng.uniform(0.5, 2.0, 3), damping=0.1, below=below)
+    roots = np.sqrt(reach.weights)
+    stacked = np.vstack([roots[:, None] * reach.matrix, np.sqrt(0.1) * np.eye(5)])
+    wanted = scipy.optimize.lsq_linear(
+        stacked, np.append(roots * reach.target, np.zeros(5)), (-0.3, 0.3), method="bvls", tol=1e-15
+    ).x
+    step = solve(IKProblem([reach], Bounds([-0.3] * 5, [0.3] * 5)))
+    assert reach.matrix @ step.dtheta == pytest.approx(reach.matrix @ wanted, abs=EXACT)
+    if below == "hold":
+        assert step.dtheta == pytest.approx(wanted, abs=EXACT)
+
+
+@pytest.mark.parametrize("below", ["free", "hold"])
+def test_a_damped_level_under_another_does_not_disturb_it(below):
+    levels = [Level([[1.0, 1.0, 0.0]], [0.7]), Level([[1.0, -1.0, 0.0]], [3.0], damping=2.0, below=below)]
+    # With x = 0.35 + s and y = 0.35 - s: (2 s - 3)² + 2 (0.245 + 2 s²) is least at s = 3/4.
+    step = solve(IKProblem([*levels, Level([[0.0, 0.0, 1.0]], [0.5])]))
+    assert step.dtheta == pytest.approx([1.1, -0.4, 0.5 if below == "free" else 0.0], abs=EXACT)
+
+
+def test_costs_of_a_damped_level_are_those_of_its_own_target():
+    problem = damped_problem(0, "free")
+    step = solve(problem)
+    assert step.costs == tuple(level.cost(step.dtheta) for level in problem.levels)
+
+
+# Arguments in the wrong place: an error also where no row binds and the solver is never called.
+
+
+@pytest.mark.parametrize("target", [[0.1, 0.2], [0.9, 2.0]], ids=["free", "bound"])
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((Bounds([-0.05] * 3, [0.05] * 3),), r"solver is of type Bounds; .*limits belong into the IKProblem"),
+        ((SolveOptions(accuracy=1e-6),), r"solver is .*SolveOptions.*options into options="),
+        ((None,), "solver is None"),
+        (("daqp", {"accuracy": 1e-6}), "options is .*dict.*; expected SolveOptions"),
+    ],
+    ids=["limits as solver", "options as solver", "no solver", "options as a dictionary"],
+)
+def test_what_is_handed_over_in_the_wrong_place_is_refused_by_name(target, arguments, message):
+    level = Level([[1.0, 0.5, 0.2], [0.0, 1.0, 0.3]], target)
+    with pytest.raises(InputError, match=message):
+        solve(IKProblem([level], Bounds([-1.0] * 3, [1.0] * 3)), *arguments)
+
+
+def test_levels_in_place_of_a_problem_are_refused():
+    with pytest.raises(InputError, match="expected an IKProblem, with its levels and limits"):
+        solve([Level([[1.0, 0.5]], [0.1])])
+
+
+# Small inputs of many kinds, each with the answer that it has by hand or by another way.
+
+FEW = ("active-set", "daqp", "quadprog", "proxqp", "clarabel")
+
+
+@pytest.mark.parametrize("solver", FEW)
+@pytest.mark.parametrize(
+    "nothing",
+    [
+        Level([[0.0, 0.0]], [-1.0], kind="at_most"),
+        Level([[0.0, 0.0]], [1.0], kind="at_most"),
+        Level([[0.0, 0.0]], [1.0]),
+        Level(np.zeros((0, 2)), []),
+        Level([[1.0, 1.0]], [5.0], [0.0]),
+        Level([[1.0, 1.0]], [np.inf], kind="at_most"),
+    ],
+    ids=["broken zeros", "kept zeros", "zeros out of reach", "no row", "no weight", "no side"],
+)
+def test_a_level_that_no_step_changes_leaves_the_others_alone(nothing, solver):
+    soft = Level([[1.0, 0.0]], [-1.0], kind="at_most")
+    for levels in ([nothing, soft], [soft, nothing], [nothing, nothing, soft]):
+        step = solve(IKProblem(levels), solver)
+        assert step.certificate.holds
+        assert step.dtheta == pytest.approx([-1.0, 0.0], abs=ROUNDING)
+
+
+@pytest.mark.parametrize("solver", ["active-set", "daqp"])
+def test_a_problem_of_no_levels_is_the_step_nearest_to_the_reference(solver):
+    problem = IKProblem([], Bounds([-1.0, -1.0], [0.5, 1.0]), reference=[2.0, 0.3])
+    assert solve(problem, solver).dtheta == pytest.approx([0.5, 0.3], abs=ROUNDING)
+
+
+@pytest.mark.parametrize("room", [1e4, 1e5, 1e6])
+@pytest.mark.parametrize("slope", [2.9e-7, 3.1e-7])
+def test_another_joint_makes_room_for_a_level_however_little_of_it_is_in_the_row(slope, room):
+    # x <= slope · y, and y up to `room` costs level 1 nothing.
+    bounds, rows = Bounds([-1.0, -room], [1.0, room]), Rows([[1.0, -slope]], [0.0])
+    step = solve(IKProblem([Level([[1.0, 0.0]], [0.3])], bounds, rows))
+    assert step.certificate.holds
+    assert np.sqrt(step.costs[0]) == pytest.approx(max(0.0, 0.3 - slope * room), abs=EXACT)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_frozen_joints_stay_and_the_others_are_bounded_least_squares(seed):
+    rng = np.random.default_rng(seed)
+    m = int(rng.integers(6, 10))
+    moving = np.sort(rng.choice(m, int(rng.integers(1, 7)), replace=False))
+    limit = np.zeros(m)
+    limit[moving] = 0.1
+    matrix, target = rng.normal(size=(6, m)), 0.2 * rng.normal(size=6)
+    wanted = np.zeros(m)
+    among = (-limit[moving], limit[moving])
+    wanted[moving] = scipy.optimize.lsq_linear(matrix[:, moving], target, among, method="bvls", tol=1e-15).x
+    for solver in FEW:
+        step = solve(IKProblem([Level(matrix, target)], Bounds(-limit, limit)), solver)
+        assert step.certificate.holds, solver
+        assert error(step.dtheta, wanted) <= EXACT, solver
+
+
+@pytest.mark.parametrize("cost", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
+def test_a_weak_posture_among_the_rows_of_a_level_decides_what_the_others_leave(cost):
+    rng = np.random.default_rng(0)
+    matrix, target, posture = rng.normal(size=(3, 7)), np.array([0.02, -0.01, 0.03]), 0.1 * rng.normal(size=7)
+    # By hand of the null space: least squares in it, and of order cost² elsewhere.
+    null = np.linalg.svd(matrix)[2][3:]
+    rows = Level(np.vstack([matrix, cost * np.eye(7)]), np.concatenate([target, cost * posture]))
+    weights = Level(np.vstack([matrix, np.eye(7)]), np.concatenate([target, posture]), [1.0] * 3 + [cost**2] * 7)
+    for level in (rows, weights):
+        step = solve(IKProblem([level]))
+        assert step.certificate.holds
+        assert null @ step.dtheta == pytest.approx(null @ posture, rel=1e-6)
+        assert matrix @ step.dtheta == pytest.approx(target, abs=cost**2)
+
+
+def test_steps_scale_with_the_time_step():
+    def problem(seed: int, dt: float) -> IKProblem:
+        rng = np.random.default_rng(seed)
+        tool = Level(rng.normal(size=(4, 7)), 0.3 * dt * rng.normal(size=4))
+        limit, rest = rng.uniform(0.02, 0.3, 7) * dt, 0.2 * dt * rng.normal(size=7)
+        rows = Rows(rng.normal(size=(2, 7)), dt * rng.uniform(0.0, 0.1, 2))
+        return IKProblem([tool, Level(np.eye(7), rest)], Bounds(-limit, limit), rows)
+
+    for seed in range(10):
+        wanted = solve(problem(seed, 1.0)).dtheta
+        for dt in (1e-2, 1e-4, 1e-6, 1e-12):
+            for solver in FEW:
+                step = solve(problem(seed, dt), solver)
+                assert step.certificate.holds
+                assert error(step.dtheta, dt * wanted) <= EXACT
+
+
+@pytest.mark.parametrize("decades", [2, 4, 6, 8])
+def test_weights_however_far_apart_are_bounded_least_squares_of_scaled_rows(decades):
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        matrix, target = rng.normal(size=(8, 6)), 0.1 * rng.normal(size=8)
+        weights = np.where(np.arange(8) < 3, 10.0**decades, 10.0**-decades)
+        problem = IKProblem([Level(matrix, target, weights)], Bounds([-0.03] * 6, [0.03] * 6))
+        steps = [solve(problem, solver) for solver in ("active-set", "daqp", "quadprog")]
+        assert all(step.found for step in steps)
+        strict = solve(IKProblem([Level(matrix[:3], target[:3]), Level(matrix[3:], target[3:])], problem.bounds))
+        for step in steps:
+            assert step.certificate.is_optimal
+            # Of the heavy rows, as good as alone; of the others, as good as below them, to the ratio of weights.
+            heavy = np.sum((matrix[:3] @ step.dtheta - target[:3]) ** 2)
+            assert heavy <= strict.costs[0] + 10.0 ** (-2 * decades) * float(target @ target) * 100.0
+
+
+@pytest.mark.parametrize("solver", FEW)
+def test_rows_that_are_rounding_are_no_rows(solver):
+    noise, want = [[3e-18, 1e-17]], Level(np.eye(2), [0.1, 0.2])
+    for problem in (
+        IKProblem([want], rows=Rows(noise, [0.0])),
+        IKProblem([want], equalities=Equalities(noise, [0.0])),
+        IKProblem([want], equalities=Equalities(noise, [1e-17])),
+        IKProblem([Level(noise, [0.0], kind="at_most"), want]),
+        IKProblem([Level(noise, [0.0]), want]),
+        IKProblem([Level(noise, [0.01]), want]),
+    ):
+        step = solve(problem, solver, QP_ONLY)
+        assert step.certificate.holds
+        assert step.dtheta == pytest.approx([0.1, 0.2], abs=ROUNDING)
+        assert len(step.zeros) == 1
+
+
+def test_an_equality_and_a_row_that_say_the_same_to_eight_digits_have_one_answer():
+    rng = np.random.default_rng(4)
+    a = 0.1 * rng.normal(size=6)
+    rows = Rows([np.round(a, 8)], [-0.01045375 - 3e-8], ["limit"])
+    equalities = Equalities([np.round(-2.7182818 * a, 8)], [0.01045375 * 2.7182818], ["hold"])
+    problem = IKProblem([Level(np.eye(6), rng.normal(size=6))], rows=rows, equalities=equalities)
+    answers = set()
+    for solver in FEW:
+        step = joint_step(problem, get_solver(solver), SolveOptions())
+        if step.status is StepStatus.INFEASIBLE:
+            answers.add(step.conflict.names)
+        else:
+            assert step.status is not StepStatus.UNCERTIFIED or not step.certificate.is_optimal
+            answers.add(step.dtheta.tobytes())
+    assert len(answers) == 1

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from dataclasses import replace
 
 import daqp
@@ -504,3 +506,20 @@ def test_a_step_that_equalities_decide_needs_no_solver():
     result = get_backend("daqp-hierarchy").solve_whole(Hierarchy(problem))
     assert result.x == pytest.approx([0.25, -0.5], abs=1e-15)
     assert result.calls == 0
+
+
+@pytest.mark.parametrize("name", STAGED)
+def test_a_copy_of_a_used_solver_solves_and_leaves_the_process_alive(name):
+    """In a process of its own, as a copy of memory that belongs to a library in C++ would end it."""
+    script = """
+import copy, pickle, sys
+from prioritized_ik import Bounds, IKProblem, Level, get_backend, solve
+problem = IKProblem([Level([[1.0, 1.0]], [1.0])], Bounds([-0.1] * 2, [0.1] * 2))
+used = get_backend(sys.argv[1])
+solve(problem, used)
+for other in (copy.deepcopy(used), pickle.loads(pickle.dumps(used))):
+    assert abs(solve(problem, other).dtheta - 0.1).max() < 1e-12
+print("alive")
+"""
+    done = subprocess.run([sys.executable, "-c", script, name], check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "alive\n"), done.stderr

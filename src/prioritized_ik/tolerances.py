@@ -77,7 +77,7 @@ TIGHT = 1e-7
 
 #: [–] The same fraction in the QPs that a solver gets: what it is divided by makes rounding of 1e-16 a constraint off by
 #: 1e-9. A solver makes a guess, which the kernel corrects.
-SETTLED_FOR_SOLVERS = 3e-7
+SETTLED_FOR_SOLVERS = 2e-6
 
 #: [–] Tight rows that leave a wedge narrower than this leave no room to a QP solver: all fail on narrower ones.
 NARROW = 1e-5
