@@ -712,20 +712,23 @@ def test_steps_scale_with_the_time_step():
 
 
 @pytest.mark.parametrize("decades", [2, 4, 6, 8])
-def test_weights_however_far_apart_are_bounded_least_squares_of_scaled_rows(decades):
+def test_weights_however_far_apart_are_nearly_two_levels_and_no_obstacle(decades):
     rng = np.random.default_rng(0)
     for _ in range(10):
         matrix, target = rng.normal(size=(8, 6)), 0.1 * rng.normal(size=8)
         weights = np.where(np.arange(8) < 3, 10.0**decades, 10.0**-decades)
-        problem = IKProblem([Level(matrix, target, weights)], Bounds([-0.03] * 6, [0.03] * 6))
-        steps = [solve(problem, solver) for solver in ("active-set", "daqp", "quadprog")]
-        assert all(step.found for step in steps)
-        strict = solve(IKProblem([Level(matrix[:3], target[:3]), Level(matrix[3:], target[3:])], problem.bounds))
-        for step in steps:
-            assert step.certificate.is_optimal
-            # Of the heavy rows, as good as alone; of the others, as good as below them, to the ratio of weights.
-            heavy = np.sum((matrix[:3] @ step.dtheta - target[:3]) ** 2)
-            assert heavy <= strict.costs[0] + 10.0 ** (-2 * decades) * float(target @ target) * 100.0
+        bounds = Bounds([-0.03] * 6, [0.03] * 6)
+        problem = IKProblem([Level(matrix, target, weights)], bounds)
+        step = solve(problem)
+        assert step.certificate.is_optimal or decades == 8  # sixteen decades apart is all that doubles have
+        two = solve(IKProblem([Level(matrix[:3], target[:3]), Level(matrix[3:], target[3:])], bounds))
+        # Better by the lighter rows than two levels, so worse by the heavier ones by no more than that weighs.
+        heavy = float(np.sum((matrix[:3] @ step.dtheta - target[:3]) ** 2))
+        assert heavy <= two.costs[0] * (1.0 + ROUNDING) + 10.0 ** (-2 * decades) * two.costs[1] + ROUNDING**2
+        for solver in FEW:  # some give up on such weights; none may answer otherwise
+            other = joint_step(problem, get_solver(solver), SolveOptions())
+            if other.found and other.certificate.holds:
+                assert other.dtheta.tobytes() == step.dtheta.tobytes(), solver
 
 
 @pytest.mark.parametrize("solver", FEW)

@@ -39,6 +39,10 @@ LEAKS = 1e-5  # of the step: leaks of strong rows into weak directions up to thi
 
 LEAST_DEMAND = 1e-6  # of what a step of this size can do to a level: a level that asks for less asks for nothing
 
+OFF = 1e-12  # of the step: a displacement below this is rounding that no estimate foresaw
+
+LAST = "last level"  # its name
+
 IMPROVEMENTS = 4  # of a combination in extended precision; each gains as many digits as the rows leave
 
 
@@ -246,8 +250,8 @@ class Proof:
         size = length(u) + length(reference)
         last = Shortfall(Range(free, free[:, :0], None), free.T @ (u - reference), terms, size, 0.0)
         identity = np.eye(len(u))
-        own = trusted(Level, matrix=identity, target=reference, weights=np.ones(len(u)), name="last level", kind="equal")
-        yield self._proof("last level", size, last, free, near, own)
+        own = trusted(Level, matrix=identity, target=reference, weights=np.ones(len(u)), name=LAST, kind="equal")
+        yield self._proof(LAST, size, last, free, near, own)
 
     def _sensitivity(self, level: Level) -> tuple[float, float]:
         """Return the length of the gradient of a level's cost, and ‖W^½ A‖."""
@@ -306,8 +310,10 @@ class Proof:
         # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
         off = self._off * (1.0 + follows)
         above = max(self._above, off)
+        if level.name == LAST:  # its gap tells
+            loosened = 0.0
         self._above = max(self._above, explained, loosened)
-        self._off = off + length(displacement)
+        self._off = off + (length(displacement) if length(displacement) > OFF * self.scale else 0.0)
         return LevelProof(
             name,
             gap,

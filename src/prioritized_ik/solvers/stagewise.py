@@ -28,15 +28,19 @@ IDLE = 4  # steps without progress before Bland's rule
 ROUNDS = 20  # per row and variable, before the method gives up
 
 
-def stagewise(hierarchy: Hierarchy) -> tuple[Array, NDArray[np.bool_]] | None:
+def stagewise(hierarchy: Hierarchy, weak: float = DEPENDENT) -> tuple[Array, NDArray[np.bool_]] | None:
     """Return the step `(m,)` that the levels lead to one after the other, and the rows `(r,)` that hold it.
 
     None if the rows cannot all be kept.
+
+    Args:
+        hierarchy: the problem.
+        weak: directions along which a stage's cost changes by less than this, on a face, are not followed.
     """
     state, active = FoldState.whole(hierarchy), np.zeros(len(hierarchy.rows.upper), dtype=bool)
     for _ in hierarchy.problem.levels:
         stage = level_stage(state)
-        answer = solve_stage(stage)
+        answer = solve_stage(stage, weak)
         if answer is None:
             return None
         x, multipliers = answer
@@ -51,14 +55,14 @@ def stagewise(hierarchy: Hierarchy) -> tuple[Array, NDArray[np.bool_]] | None:
         if not state.free.shape[1]:
             return u, active
     stage = reference_stage(state)
-    answer = solve_stage(stage)
+    answer = solve_stage(stage, weak)
     if answer is None:
         return None
     active[stage.row_ids[answer[1] > 0.0]] = True
     return stage.dtheta(answer[0]), active
 
 
-def solve_stage(stage: Stage) -> tuple[Array, Array] | None:
+def solve_stage(stage: Stage, weak: float = DEPENDENT) -> tuple[Array, Array] | None:
     """Return x `(v,)` and the multipliers `(r,)` of a stage, or None if its rows cannot all be kept."""
     problem = stage.problem
     target = -problem.q[: stage.costed]
@@ -72,8 +76,7 @@ def solve_stage(stage: Stage) -> tuple[Array, Array] | None:
         if feasible is None:
             return None
         start = feasible
-    found = _primal_active_set(problem.G, upper, target, start)
-    return found
+    return _primal_active_set(problem.G, upper, target, start, weak)
 
 
 def _feasible(rows: Array, upper: Array) -> Array | None:
@@ -99,7 +102,9 @@ def _feasible(rows: Array, upper: Array) -> Array | None:
     return x if (rows @ x - upper).max() <= FEASIBLE * float(np.abs(upper).max()) else None
 
 
-def _primal_active_set(rows: Array, upper: Array, target: Array, start: Array) -> tuple[Array, Array] | None:
+def _primal_active_set(
+    rows: Array, upper: Array, target: Array, start: Array, weak: float = DEPENDENT
+) -> tuple[Array, Array] | None:
     """Return x `(v,)`, the least ½‖x[:r] - target‖² with `rows` `(n, v)` @ x <= `upper`, and the multipliers `(n,)`.
 
     Args:
@@ -107,6 +112,7 @@ def _primal_active_set(rows: Array, upper: Array, target: Array, start: Array) -
         upper: their sides `(n,)`.
         target: of the first variables `(r,)`.
         start: keeps the rows `(v,)`.
+        weak: singular values up to this fraction of the largest are none.
     """
     r, x, working, idle = len(target), start, list[int](), 0
     n, v = rows.shape
@@ -116,7 +122,7 @@ def _primal_active_set(rows: Array, upper: Array, target: Array, start: Array) -
         null = q[:, k:]
         gradient = np.zeros(v)
         gradient[:r] = x[:r] - target
-        move = null @ _minimum_norm(null[:r], -gradient[:r])
+        move = null @ _minimum_norm(null[:r], -gradient[:r], weak)
         if np.linalg.norm(move) > STILL * (np.linalg.norm(x) + np.linalg.norm(target)):
             rate, slack = rows @ move, np.maximum(upper - rows @ x, 0.0)
             rate[working] = 0.0
@@ -141,8 +147,8 @@ def _primal_active_set(rows: Array, upper: Array, target: Array, start: Array) -
     return None
 
 
-def _minimum_norm(matrix: Array, target: Array) -> Array:
+def _minimum_norm(matrix: Array, target: Array, weak: float) -> Array:
     """Return the shortest least-squares solution `(n,)` of `matrix` `(r, n)` w = `target`."""
     if not matrix.size:
         return np.zeros(matrix.shape[1])
-    return scipy.linalg.lstsq(matrix, target, cond=DEPENDENT, lapack_driver="gelsy", check_finite=False)[0]
+    return scipy.linalg.lstsq(matrix, target, cond=weak, lapack_driver="gelsy", check_finite=False)[0]
