@@ -112,7 +112,7 @@ def _primal_active_set(
         upper: their sides `(n,)`.
         target: of the first variables `(r,)`.
         start: keeps the rows `(v,)`.
-        weak: singular values up to this fraction of the largest are none.
+        weak: directions of unit length of which the cost sees less than this are not followed.
     """
     r, x, working, idle = len(target), start, list[int](), 0
     n, v = rows.shape
@@ -148,7 +148,12 @@ def _primal_active_set(
 
 
 def _minimum_norm(matrix: Array, target: Array, weak: float) -> Array:
-    """Return the shortest least-squares solution `(n,)` of `matrix` `(r, n)` w = `target`."""
+    """Return the shortest least-squares solution `(n,)` of `matrix` `(r, n)` w = `target`; its columns are parts of unit ones.
+
+    Singular values up to `weak` are none, absolutely: a working set can leave nothing but rounding of a direction.
+    """
     if not matrix.size:
         return np.zeros(matrix.shape[1])
-    return scipy.linalg.lstsq(matrix, target, cond=weak, lapack_driver="gelsy", check_finite=False)[0]
+    u, s, vt = np.linalg.svd(matrix, full_matrices=False)
+    p = int(np.count_nonzero(s > weak))
+    return np.asarray(vt[:p].T @ (u[:, :p].T @ target / s[:p]))
