@@ -119,7 +119,7 @@ class Wrong:
 
     def solve_whole(self, hierarchy: Hierarchy) -> StageResult:
         Wrong.calls += 1
-        options = SolveOptions(closed_form_first=False, polish=False)
+        options = SolveOptions(rank_tolerance=hierarchy.rank_tolerance, closed_form_first=False, polish=False)
         dtheta = np.array(joint_step(hierarchy.problem, self._honest, options).dtheta)
         if (Wrong.calls - 1) % ONE_IN == self._first:
             dtheta[-1] += OFF

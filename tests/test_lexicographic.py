@@ -720,7 +720,9 @@ def test_weights_however_far_apart_are_nearly_two_levels_and_no_obstacle(decades
         bounds = Bounds([-0.03] * 6, [0.03] * 6)
         problem = IKProblem([Level(matrix, target, weights)], bounds)
         step = solve(problem)
-        assert step.certificate.is_optimal or decades == 8  # sixteen decades apart is all that doubles have
+        if decades == 8 and not step.certificate.is_optimal:
+            continue  # sixteen decades apart is all that doubles have: some are said to be unproven
+        assert step.certificate.is_optimal
         two = solve(IKProblem([Level(matrix[:3], target[:3]), Level(matrix[3:], target[3:])], bounds))
         # Better by the lighter rows than two levels, so worse by the heavier ones by no more than that weighs.
         heavy = float(np.sum((matrix[:3] @ step.dtheta - target[:3]) ** 2))

@@ -148,7 +148,7 @@ def _primal_active_set(
 
 
 def _minimum_norm(matrix: Array, target: Array, weak: float) -> Array:
-    """Return the shortest least-squares solution `(n,)` of `matrix` `(r, n)` w = `target`; its columns are parts of unit ones.
+    """Return the shortest least-squares solution `(n,)` of `matrix` `(r, n)` w = `target`, parts of orthonormal columns.
 
     Singular values up to `weak` are none, absolutely: a working set can leave nothing but rounding of a direction.
     """
