@@ -18,7 +18,7 @@ import scipy.optimize
 from prioritized_ik.errors import PrioritizedIkError
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.hierarchy import impossible_rows
-from prioritized_ik.tolerances import FEASIBLE
+from prioritized_ik.tolerances import FEASIBLE, ROUNDING
 from prioritized_ik.validation import Array, lengths
 
 #: HiGHS keeps rows to within 1e-7 of its unit, so a least violation above this many units is right to one in a million.
@@ -128,7 +128,8 @@ def _least_violation(hard: _HardRows) -> _Violation | None:
     dtheta, found = np.zeros(hard.matrix.shape[1]), None
     for _ in range(PASSES):
         slack = hard.sides - hard.matrix @ dtheta
-        if (slack >= -FEASIBLE * np.maximum(np.abs(hard.sides), np.linalg.norm(dtheta))).all():
+        rounding = ROUNDING * float(np.linalg.norm(dtheta))
+        if (slack >= -np.maximum(FEASIBLE * np.abs(hard.sides), rounding)).all():
             return None
         if found is not None:
             return found

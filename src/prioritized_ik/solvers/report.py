@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prioritized_ik.solvers.hierarchy import EqualBlock, Hierarchy
+from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array
 
 
@@ -50,9 +51,10 @@ def level_reports(hierarchy: Hierarchy, u: Array) -> tuple[LevelReport, ...]:
 def _report(name: str, block: EqualBlock, roots: Array, residual: Array) -> LevelReport:
     kept, cut = block.spectrum.kept, block.spectrum.cut
     undone = 0.0
-    if len(cut):
+    real = cut > ROUNDING  # what is zero serves nothing: the level cannot do it, or levels above have decided it
+    if real.any():
         # Of the residual, what the cut directions would serve and the kept ones cannot.
-        served = block.spectrum.cut_rows * roots
+        served = block.spectrum.cut_rows[real] * roots
         sizes = np.linalg.norm(served, axis=1)
         undone = float(np.linalg.norm((served / np.where(sizes > 0.0, sizes, 1.0)[:, None]) @ (roots * residual)))
     return LevelReport(
