@@ -3,7 +3,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from winding_fixtures import QP_ONLY, recorded, short_episode
+from winding_fixtures import AS_RECORDED, recorded, short_episode
 
 from prioritized_ik.errors import EpisodeFileError, InputError, SolverUnavailableError
 from prioritized_ik.solvers.backends.registry import get_backend
@@ -50,7 +50,7 @@ def test_every_problem_of_a_loaded_episode_solves_to_the_recorded_bits(saved):
     loaded = Episode.load(saved)
     backend = get_backend("daqp")
     for step, problem in enumerate(loaded.problems()):
-        assert joint_step(problem, backend, QP_ONLY).dtheta.tobytes() == loaded.dtheta[step].tobytes()
+        assert joint_step(problem, backend, AS_RECORDED).dtheta.tobytes() == loaded.dtheta[step].tobytes()
 
 
 def test_the_steps_add_up_to_the_joint_positions():
@@ -266,7 +266,7 @@ def fails_at(step: int):
         posed.append(q)
         if len(posed) > step:
             return JointStep(None, StepStatus.NOT_FOUND, "gave in")
-        return joint_step(problem, backend, QP_ONLY)
+        return joint_step(problem, backend, AS_RECORDED)
 
     return solve
 
@@ -297,7 +297,7 @@ def test_the_solve_is_told_where_the_arm_is():
 
     def solve(problem, q):
         seen.append(q.tobytes())
-        return joint_step(problem, backend, QP_ONLY)
+        return joint_step(problem, backend, AS_RECORDED)
 
     episode = wind(WindingSettings(max_steps=4), solve)
     assert seen == [q.tobytes() for q in episode.q[:-1]]

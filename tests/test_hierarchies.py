@@ -20,6 +20,7 @@ from hierarchies import (
     gains,
     kkt_error,
     random_hierarchy,
+    sensitivity,
     solution_on,
     unplanned_hierarchy,
 )
@@ -43,7 +44,7 @@ TINY = 1e-9  # relative: measured 7e-12; least squares on rows that count twice,
 #: Relative to the step. The certificate's figures are below 1e-8, and a lower level passes on what is left above it ten
 #: to a hundred times; the polish makes it 1e-12 in nearly all cases. Problems are drawn so that rounding is below 1e-8.
 AGREES = 1e-6
-BLUR = 1e-8  # what rounding makes of the optimum of the most sensitive problems drawn; measured 6e-9
+BLUR = 2e-13  # a thousand roundings, which the optimum follows as far as it is sensitive; measured 413 of 300 problems
 
 NEARLY_ALL = 0.999  # of DAQP's steps are optimal; weights over six decades leave some of them undecided to rounding
 MOST = 0.8  # of all steps are certified, and of the others' optimal: those that give up more often are right elsewhere
@@ -123,7 +124,7 @@ def test_random_steps_beat_what_is_not_the_optimum(seed):
 @given(hierarchies)
 def test_least_squares_on_the_pressed_rows_is_the_planted_optimum(known):
     found = solution_on(known.problem, known.presses, known.dtheta)
-    assert error_of(found, known) <= BLUR
+    assert error_of(found, known) <= BLUR * max(sensitivity(known), 1.0)
 
 
 @pytest.mark.parametrize("seed", range(20))
