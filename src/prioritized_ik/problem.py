@@ -166,7 +166,7 @@ class Rows:
         checked = finite_array("matrix of rows", matrix, (None, None))
         side = _upper_side("upper side of rows", upper, len(checked))
         known = _names("rows", names, "row", len(checked))
-        never = np.flatnonzero(~checked.any(axis=1) & (side < 0.0))
+        never = np.flatnonzero(~checked.any(axis=1) & (side < -_rounding_of(side)))
         if never.size:
             i = int(never[0])
             raise InputError(f"{known[i]} is all zero but must not exceed {side[i]}, which no step can keep; leave it out.")
@@ -190,7 +190,7 @@ class Equalities:
         checked = finite_array("matrix of equalities", matrix, (None, None))
         side = finite_array("target of equalities", target, checked.shape[:1])
         known = _names("equalities", names, "equality", len(checked))
-        never = np.flatnonzero(~checked.any(axis=1) & (side != 0.0))
+        never = np.flatnonzero(~checked.any(axis=1) & (np.abs(side) > _rounding_of(side)))
         if never.size:
             i = int(never[0])
             raise InputError(f"{known[i]} is all zero but must be {side[i]}, which no step can keep; leave it out.")
@@ -496,6 +496,12 @@ def _positive_metric(metric: ArrayLike, m: int) -> Array:
         place = int(np.argmin(diagonal))
         raise InputError(f"metric[{place}] is {diagonal[place]}; expected numbers above 0, and above {LEAST_METRIC:g}.")
     return diagonal
+
+
+def _rounding_of(sides: Array) -> float:
+    """Return what of sides `(n,)` is rounding beside the largest of them."""
+    finite = np.abs(sides[np.isfinite(sides)])
+    return NOISE * float(finite.max(initial=0.0))
 
 
 def _upper_side(what: str, upper: ArrayLike, count: int) -> Array:
