@@ -41,7 +41,7 @@ LEAST_DEMAND = 1e-6  # of what a step of this size can do to a level: a level th
 
 OFF = 1e-12  # of the step: a displacement below this is rounding that no estimate foresaw
 
-LAST = "last level"  # its name
+FAR = 1e300  # a row that no level above holds can move any way
 
 IMPROVEMENTS = 4  # of a combination in extended precision; each gains as many digits as the rows leave
 
@@ -237,7 +237,7 @@ class Proof:
         free, near = hierarchy.free, np.flatnonzero(self.near & (rows.level == HARD))
         for number, (level, block) in enumerate(zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)):
             shortfall = block.shortfall(rows, self.slack, self.exceeded, u, free)
-            yield self._proof(level.name, block.demand, shortfall, free, near, level)
+            yield self._proof(level, block.demand, shortfall, free, near, number)
             if block.is_soft:
                 # None may be exceeded by more than it is, and none by less without costing the level: they hold.
                 own = self.exceeded & (rows.level == number)
@@ -250,8 +250,8 @@ class Proof:
         size = length(u) + length(reference)
         last = Shortfall(Range(free, free[:, :0], None), free.T @ (u - reference), terms, size, 0.0)
         identity = np.eye(len(u))
-        own = trusted(Level, matrix=identity, target=reference, weights=np.ones(len(u)), name=LAST, kind="equal")
-        yield self._proof(LAST, size, last, free, near, own)
+        own = trusted(Level, matrix=identity, target=reference, weights=np.ones(len(u)), name="last level", kind="equal")
+        yield self._proof(own, size, last, free, near)
 
     def _sensitivity(self, level: Level) -> tuple[float, float]:
         """Return the length of the gradient of a level's cost, and ‖W^½ A‖."""
@@ -259,75 +259,134 @@ class Proof:
         return steepness, float(np.linalg.norm(np.sqrt(level.weights)[:, None] * level.matrix))
 
     def _proof(
-        self, name: str, demand: float, shortfall: Shortfall, free: Array, near: NDArray[np.int_], level: Level
+        self,
+        level: Level,
+        demand: float,
+        shortfall: Shortfall,
+        free: Array,
+        near: NDArray[np.int_],
+        number: int | None = None,
     ) -> LevelProof:
-        """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back."""
-        rows, felt = self._hierarchy.rows, shortfall.felt
-        felt_lengths = lengths(felt.felt.T)
-        unfelt_lengths = np.full(felt.unfelt.shape[1], min(felt_lengths, default=1.0) / UNFELT)
-        basis = np.hstack([felt.felt, felt.unfelt * unfelt_lengths])
-        gradient = np.concatenate([shortfall.gradient, np.zeros_like(unfelt_lengths)])
-        size, leak = length(shortfall.terms), shortfall.leak
-        felt_terms = shortfall.terms + leak * max(felt_lengths, default=0.0)
-        terms = np.concatenate([felt_terms, leak * unfelt_lengths])  # what a level does not feel is zero, not rounding
-        near = near[rows.reach(near, free) > self._hierarchy.settled]
+        """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back.
+
+        The last level has no `number`.
+        """
+        rows, settled = self._hierarchy.rows, self._hierarchy.settled
+        near = near[rows.reach(near, free) > settled]
         held = np.isfinite(self._leak[near])  # by a level above: of either sign here
-        all_lengths = np.concatenate([felt_lengths, unfelt_lengths])
         steepness, strength = self._sensitivity(level)
-        follows = strength * float(np.linalg.norm(felt.felt)) if felt.felt.size else 0.0
-        # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
-        leaks = EPS * follows * math.sqrt(level.cost(self._u)) * max(felt_lengths, default=0.0)
-        for extended in (False, True):
-            blur = ROUNDING * terms
-            if extended and not level.is_soft:
-                gradient, blur = _exact_gradient(level, felt.felt, self._u, len(gradient), blur)
-            lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
-            balance = _balanced(rows.matrix[near], basis, lacking, held, extended=extended)
-            rounding = blur + balance.rounding
-            explained = float(np.linalg.norm(all_lengths * rounding))
-            beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
-            displacement = -(basis @ beyond)
-            # Where double precision cannot tell, once more in extended.
-            explained = explained if extended else max(explained, leaks)
-            decided = max(explained / UNDECIDED, length(displacement) / self.tolerance, leaks / LEAKS) <= self.scale
-            if decided:
-                break
-        normals, sizes, combination = balance.normals, balance.sizes, balance.combination
-        net = combination[: len(near)].copy()
-        net[held] -= combination[len(near) :]
+        felt = shortfall.felt.felt
+        follows = strength * float(np.linalg.norm(felt)) if felt.size else 0.0
+        look = self._looked(level, shortfall, near, held, follows, number)
+        net = look.net(held)
+        counts = np.abs(net) > NOTHING * (look.size + np.abs(net).sum())
+        pull = net / look.balance.sizes
+        slack = np.abs(self.slack[near])
+        back = held & (net < 0.0)
+        # Weak duality, see above. Along what it does not feel a level's cost falls as far as steps of this size go.
+        gap = 2.0 * float(np.abs(pull) @ np.where(back, np.minimum(self._leak[near], FAR), slack))
+        gap += float(look.beyond @ look.beyond) + float(look.rounding @ look.rounding)
+        gap += 2.0 * length((look.beyond / look.sizes)[felt.shape[1] :]) * self.scale
         multipliers = np.zeros(len(rows.upper))
-        multipliers[near] = np.where(np.abs(net) > NOTHING * (size + np.abs(net).sum()), net / sizes, 0.0)
-        room = np.where(held & (net < 0.0), np.minimum(self._leak[near], 1e300), np.abs(self.slack[near]))
-        gap = 2.0 * float(np.abs(net / sizes) @ room) + float(beyond @ beyond) + float(rounding @ rounding)
-        # Along what it does not feel a level's cost falls without end: as far as steps of this size go.
-        gap += 2.0 * length(beyond[len(felt_lengths) :] / unfelt_lengths) * self.scale
-        positive = ~held & (multipliers[near] > 0.0)
-        self._leak[near[positive]] = gap / multipliers[near[positive]]
-        moved = np.abs(net) > NOTHING * (size + np.abs(net).sum())
-        away = rows.reach(near, felt.unfelt)
-        away = np.where(away > self._hierarchy.settled, away, rows.reach(near, free))
-        loosened = float((np.where(held & (net < 0.0), 0.0, np.abs(self.slack[near])) / away)[moved].sum())
+        multipliers[near] = np.where(counts, pull, 0.0)
+        first = near[~held & (multipliers[near] > 0.0)]
+        self._leak[first] = gap / multipliers[first]
+        loosened = 0.0  # how far dθ may go until rows that carry a multiplier are tight; the last level's gap tells
+        if number is not None:
+            away = rows.reach(near, shortfall.felt.unfelt)
+            away = np.where(away > settled, away, rows.reach(near, free))
+            loosened = float((np.where(back, 0.0, slack) / away)[counts].sum())
         # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
         off = self._off * (1.0 + follows)
         above = max(self._above, off)
-        if level.name == LAST:  # its gap tells
-            loosened = 0.0
-        self._above = max(self._above, explained, loosened)
-        self._off = off + (length(displacement) if length(displacement) > OFF * self.scale else 0.0)
+        self._above = max(self._above, look.explained, loosened)
+        self._off = off + (length(look.displacement) if length(look.displacement) > OFF * self.scale else 0.0)
         return LevelProof(
-            name,
+            level.name,
             gap,
             steepness * above + (strength * above) ** 2,
             max(demand, math.sqrt(level.cost(self._u)), LEAST_DEMAND * shortfall.size),
-            displacement,
-            max(explained, loosened, self._off),
+            look.displacement,
+            max(look.explained, loosened, self._off),
             multipliers,
-            gradient,
+            look.gradient,
             near,
-            normals,
+            look.balance.normals,
             self.scale,
             self.tolerance,
         )
+
+    def _looked(
+        self,
+        level: Level,
+        shortfall: Shortfall,
+        near: NDArray[np.int_],
+        held: NDArray[np.bool_],
+        follows: float,
+        number: int | None,
+    ) -> "_Look":
+        """Return how far rows balance a level's gradient: in double precision, where that cannot tell in extended."""
+        felt, unfelt = shortfall.felt.felt, shortfall.felt.unfelt
+        felt_lengths = lengths(felt.T)
+        strongest = max(felt_lengths, default=0.0)
+        unfelt_lengths = np.full(unfelt.shape[1], min(felt_lengths, default=1.0) / UNFELT)
+        sizes = np.concatenate([felt_lengths, unfelt_lengths])
+        basis = np.hstack([felt, unfelt * unfelt_lengths])
+        gradient = np.concatenate([shortfall.gradient, np.zeros_like(unfelt_lengths)])
+        # What a level does not feel is zero, and not rounding.
+        terms = np.concatenate([shortfall.terms + shortfall.leak * strongest, shortfall.leak * unfelt_lengths])
+        # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
+        leaks = EPS * follows * math.sqrt(level.cost(self._u)) * strongest
+        for extended in (False, True):
+            blur = ROUNDING * terms
+            if extended and not level.is_soft:
+                gradient, blur = _exact_gradient(self._as_cut(level, number), felt, self._u, len(gradient), blur)
+            lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
+            balance = _balanced(self._hierarchy.rows.matrix[near], basis, lacking, held, extended=extended)
+            rounding = blur + balance.rounding
+            beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
+            explained = max(float(np.linalg.norm(sizes * rounding)), 0.0 if extended else leaks)
+            look = _Look(balance, gradient, sizes, rounding, beyond, -(basis @ beyond), explained, length(shortfall.terms))
+            off = max(explained / UNDECIDED, length(look.displacement) / self.tolerance, leaks / LEAKS)
+            if off <= self.scale:
+                break
+        return look
+
+    def _as_cut(self, level: Level, number: int | None) -> Level:
+        """Return a level as it is solved: where the rank tolerance cuts more than rounding, without what it cuts."""
+        cut = self._hierarchy.rank_tolerance and number is not None
+        return self._hierarchy.cut_problem.levels[number] if cut and number is not None else level
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A level's stationarity, in coordinates in which its cost is ‖·‖².
+
+    Attributes:
+        balance: how far rows balance the gradient.
+        gradient: the level's `(v,)`.
+        sizes: lengths of the coordinates' directions `(v,)`.
+        rounding: what rounding can feign of the rest `(v,)`.
+        beyond: the rest beyond that `(v,)`.
+        displacement: as a step `(m,)`.
+        explained: how long a step the rounding can feign.
+        size: of the terms whose difference the gradient is.
+    """
+
+    balance: "_Balance"
+    gradient: Array
+    sizes: Array
+    rounding: Array
+    beyond: Array
+    displacement: Array
+    explained: float
+    size: float
+
+    def net(self, held: NDArray[np.bool_]) -> Array:
+        """Return the multipliers of the rows' normals `(t,)`, of either sign where a row is `held`."""
+        net = self.balance.combination[: len(held)].copy()
+        net[held] -= self.balance.combination[len(held) :]
+        return net
 
 
 def _exact_gradient(level: Level, felt: Array, u: Array, size: int, blur: Array) -> tuple[Array, Array]:
