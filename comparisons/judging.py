@@ -28,6 +28,7 @@ def judge(item: Sampled, step: JointStep) -> Record:
         "solve_s": step.timings.solve,
         "polish_s": step.timings.polish,
         "certified": step.status in (StepStatus.CLOSED_FORM, StepStatus.SOLVED),
+        "own_guess": not step.from_nothing,
         "certificate": None if step.certificate is None else step.certificate.worst,
         "repairs": step.repairs,
     }
@@ -52,7 +53,15 @@ def blank(item: Sampled) -> Record:
     """Return the record of a step of which nothing is known but the problem."""
     blank: Record = dict.fromkeys(STEP_FIGURES)
     at_zero = item.level.cost(np.zeros_like(item.dtheta))
-    return {**blank, "step": item.step, "free": item.free, "certified": False, "repairs": 0, "cost_at_zero": at_zero}
+    return {
+        **blank,
+        "step": item.step,
+        "free": item.free,
+        "certified": False,
+        "own_guess": False,
+        "repairs": 0,
+        "cost_at_zero": at_zero,
+    }
 
 
 def _weighed(level: Level, displacement: Array) -> float:

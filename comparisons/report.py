@@ -39,6 +39,7 @@ COLUMNS: dict[str, Cell] = {
     "bound dθ": _number("constrained_dtheta_spread_median", ".0e"),
     "max": _number("constrained_dtheta_spread_max", ".0e"),
     "certified": _number("certified_fraction", ".1%"),
+    "own guess": _number("own_guess_fraction", ".1%"),
     "certified dθ": _number("certified_dtheta_spread_max", ".0e"),
     "same bits": _number("certified_same_bits_fraction", ".1%"),
     "failed": lambda row: f"{row.not_found}/{row.step_count}" if row.step_count else "–",
@@ -59,8 +60,9 @@ LEGEND = (
     "free steps, on which no row binds. On the other, bound steps: violation, the worst of a row, relative to the step; "
     "cost gap, level-1 cost above the best found, relative to the cost of not moving; bound dX, of dX from that of the "
     "certified step, weighed by W, relative to what is asked; bound dθ, median and max distance from the median answer, "
-    "relative. All that is the solver's own answer. Certified: bound steps proven optimal once polished; certified dθ, "
-    "their largest distance from the answer of most; same bits, how many are equal to that to the last bit. Mean: "
+    "relative. All that is the solver's own answer. Certified: bound steps proven optimal once polished; own guess, how "
+    "many of these the solver's answer led to, the others being made by the kernel from nothing; certified dθ, their "
+    "largest distance from the answer of most; same bits, how many are equal to that to the last bit. Mean: "
     "shifted geometric mean (shift 1 ms) of building and solving one step, one not found counting as the time limit; "
     "p50, p99: of the same. Of solvers that can start warm these are warm, and cold is their p50 without. Polish: polish "
     "and certificate. Wound, turns (over the ideal), penetration (negative: clearance), bend, drift: worst of the "

@@ -44,6 +44,8 @@ class Row:
             relative to what is asked.
         constrained_dtheta_spread_median, constrained_dtheta_spread_max: of dθ on those steps from the median answer.
         certified_fraction: of the constrained steps, those whose step is proven optimal.
+        own_guess_fraction: of the certified constrained steps, those that the solver's own answer led to; the others the
+            kernel made from nothing.
         certified_dtheta_spread_max: worst relative distance of a certified dθ from the one most solvers have.
         certified_same_bits_fraction: of the certified constrained steps, those equal to that one to the last bit.
         step_status: how many replayed steps ended how, by `StepStatus`.
@@ -78,6 +80,7 @@ class Row:
     constrained_dtheta_spread_median: float | None
     constrained_dtheta_spread_max: float | None
     certified_fraction: float | None
+    own_guess_fraction: float | None
     certified_dtheta_spread_max: float | None
     certified_same_bits_fraction: float | None
     step_status: dict[str, int]
@@ -174,6 +177,7 @@ def _row(key: Key, steps: polars.DataFrame, episodes: polars.DataFrame, time_lim
         constrained_dtheta_spread_median=_median(accepted, "dtheta_spread"),
         constrained_dtheta_spread_max=_worst(accepted, "dtheta_spread"),
         certified_fraction=certified.height / bound.height if bound.height else None,
+        own_guess_fraction=_mean(certified, "own_guess"),
         certified_dtheta_spread_max=_worst(certified, "certified_spread"),
         certified_same_bits_fraction=_mean(certified, "certified_same_bits"),
         step_status={status.name: statuses.get(status.name, 0) for status in StepStatus},

@@ -47,6 +47,7 @@ STEPS: Schema = {
     "dx_error": polars.Float64,
     "own_certificate": polars.Float64,  # worst figure of that answer's certificate
     "certified": polars.Boolean,  # from here on: of the polished step
+    "own_guess": polars.Boolean,  # made of the solver's answer; if not, by the kernel from nothing
     "certificate": polars.Float64,
     "certified_dtheta": _VECTOR,
     "certified_dx_error": polars.Float64,  # ‖W^½ (dX - dX_certified)‖ / ‖W^½ dX*‖ of the solver's own dX

@@ -225,12 +225,13 @@ def figures_of(posed: Posed, step: JointStep) -> dict[str, Any]:
     """Return the figures of one step.
 
     `free`, `found`, `status`; relative to the truth `dtheta_error` and `dx_error`; `cost_gap`, the level's cost above the
-    truth's, over the cost of not moving; `violation`, relative to the step; `certified`; and `same_bits`, whether a
-    certified step is the recorded one to the last bit. None where there is no accepted step. All but the last two are of
+    truth's, over the cost of not moving; `violation`, relative to the step; `certified`; `own_guess`, whether the solver's
+    answer led to that; and `same_bits`, whether a certified step is the recorded one to the last bit. None where there is
+    no accepted step. All but the last three are of
     the solver's own answer, before it is polished.
     """
     judged, level = judge(posed.item, step), posed.item.level
-    figures = {key: judged[key] for key in ("free", "found", "status", "violation", "certified")}
+    figures = {key: judged[key] for key in ("free", "found", "status", "violation", "certified", "own_guess")}
     figures |= dict.fromkeys(("dtheta_error", "dx_error", "cost_gap", "same_bits"))
     if judged["dtheta"] is not None and posed.true is not None:
         own, true = np.array(judged["dtheta"]), posed.true
@@ -261,6 +262,7 @@ class Summary:
         cost_gap_max: largest relative excess of the level's cost.
         violation_max: worst violation of a row, of steps that were refused for it too, relative to the step.
         certified: fraction of the steps that are proven optimal.
+        own_guess: fraction of the certified steps that the solver's own answer led to.
         same_bits: fraction of the certified steps that are the recorded ones to the last bit.
     """
 
@@ -276,6 +278,7 @@ class Summary:
     cost_gap_max: float | None
     violation_max: float | None
     certified: float
+    own_guess: float | None
     same_bits: float | None
 
     @staticmethod
@@ -284,6 +287,7 @@ class Summary:
         free = [figure for figure in figures if figure["free"]]
         bound = [figure for figure in figures if not figure["free"]]
         same_bits = known(figures, "same_bits")
+        guesses = [figure["own_guess"] for figure in figures if figure["certified"]]
         return Summary(
             steps=len(figures),
             free_steps=len(free),
@@ -297,6 +301,7 @@ class Summary:
             cost_gap_max=max(known(figures, "cost_gap"), default=None),
             violation_max=max(known(figures, "violation"), default=None),
             certified=sum(figure["certified"] for figure in figures) / len(figures),
+            own_guess=sum(guesses) / len(guesses) if guesses else None,
             same_bits=sum(same_bits) / len(same_bits) if same_bits else None,
         )
 

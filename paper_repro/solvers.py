@@ -18,6 +18,7 @@ COLUMNS = (
     Column("free_dx_error_max", "dX, max", ".0e"),
     Column("cost_gap_max", "cost gap", ".0e"),
     Column("certified_percent", "certified [%]", ".1f"),
+    Column("own_guess_percent", "own guess [%]", ".1f"),
     Column("same_bits_percent", "same bits [%]", ".1f"),
     Column("failed", "failed"),
     Column("damped_free_dtheta_error_median", "damped dθ, median", ".0e"),
@@ -48,22 +49,24 @@ def build(scale: Scale, results: Results) -> Table:
             damped = summary(scale, results, solver, DAMPED)
             beside = (damped.dtheta_median, damped.dtheta_max, f"{damped.failed}/{damped.steps}")
         same = None if exact.same_bits is None else 100.0 * exact.same_bits
-        figures = (exact.dtheta_max, exact.dx_max, exact.cost_gap_max, 100.0 * exact.certified, same)
+        own = None if exact.own_guess is None else 100.0 * exact.own_guess
+        figures = (exact.dtheta_max, exact.dx_max, exact.cost_gap_max, 100.0 * exact.certified, own, same)
         rows.append((solver, get_backend(solver).version, *figures, f"{exact.failed}/{exact.steps}", *beside))
     for solver in mink_solvers(scale):
         found = summary(scale, results, solver, MINK)
         versions = f"{importlib.metadata.version('mink')} / {get_backend(solver).version}"
         errors = (found.dtheta_median, found.dtheta_max, f"{found.failed}/{found.steps}")
-        rows.append((f"mink ({solver})", versions, *(None,) * 6, *errors))
+        rows.append((f"mink ({solver})", versions, *(None,) * 7, *errors))
     one = summary(scale, results, steady_solvers(scale)[0], LEXICOGRAPHIC)
     notes = (
         f"{one.steps} recorded steps of {len(scale.directions)} windings, on {one.free_steps} of which no row binds; for "
         f"the damped QP and mink half as many. Rank tolerance {RANK_TOLERANCE:g}, which mink does not know. Errors are "
         "relative and of the solver's own answer, before it is polished: dθ against Eqs. 12–14 and dX against Eq. 15, "
         "where no row binds; cost gap: the largest excess of Eq. 10 over its optimum, relative to its value at dθ = 0. "
-        "Certified: proven optimal at every level after the polish; same bits: of these, equal to the step that the arm "
-        "took when recorded, to the last bit. Damped: + 1e-12 ‖dθ‖², as mink and pink do, with the solver's default "
-        "options; mink: `mink.solve_ik`. Failed: no answer, or a row broken by more than 1e-6 of the step."
+        "Certified: proven optimal at every level after the polish; own guess: of these, made of the "
+        "solver's own answer, where the kernel made the others from nothing; same bits: of the certified, equal to the "
+        "step that the arm took when recorded, to the last bit. Damped: + 1e-12 ‖dθ‖², as mink and pink do, with the "
+        "solver's default options; mink: `mink.solve_ik`. Failed: no answer, or a row broken by more than 1e-6 of the step."
     )
     return Table(COLUMNS, tuple(rows), notes)
 

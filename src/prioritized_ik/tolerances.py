@@ -10,8 +10,8 @@ EPS = float(np.finfo(float).eps)
 
 # --- What is rounding in the data ---------------------------------------------------------------------------------------
 
-#: [–] What is this fraction of its surroundings is zero, unless a problem states the noise of its data. Jacobians of chains
-#: of up to fifty joints carry 1e-16 to 1e-14; what is meant is rarely below 1e-9.
+#: [–] What is this fraction of its surroundings is zero, unless a problem states the noise of its data. What doubles
+#: leave of a zero in a Jacobian is about 1e-16 of its size.
 NOISE = 1e-12
 
 #: [–] Rows of unit length that differ by less than this angle say the same. Dividing by it leaves five digits.
@@ -19,19 +19,22 @@ DEPENDENT = 1e-11
 
 #: [–] How much of a row must be left by the levels above, as a fraction of the rank tolerance, to count as a row. With the
 #: windings' 1e-4 that is 1e-9: along them the fraction takes every value. At 3e-7 a level's loss had no bound; at rounding
-#: one step in ten is decided by it.
+#: a winding has several steps that are decided by it.
 SETTLED_PER_RANK_TOLERANCE = 1e-5
 
 #: [–] Rounding of a projection, in units of `EPS`, for up to a hundred joints.
 PROJECTION = 16.0
+
+#: [–] directions are never taken for less certain than this, however weak what a level kept
+UNSURE = 1e-6
 
 # --- What a certificate allows ------------------------------------------------------------------------------------------
 
 #: [of the step] Violation of a hard row, and displacement that would still lower a level's cost.
 CERTIFIED = 1e-8
 
-#: [of the level's demand, squared] How much lower a level's cost could be. The gap is a product of multiplier and slack, so
-#: rounding alone leaves 1e-15 of the multipliers' share; a step that misses 1e-5 of what a level asks for has 1e-10.
+#: [of the level's demand, squared] How much lower a level's cost could be. The gap is a product of multiplier and slack; a
+#: step that misses 1e-5 of what a level could reach has 1e-10.
 GAP = 1e-9
 
 #: [of the step] How far rounding may move the step where the certificate holds.
@@ -46,6 +49,15 @@ UNFELT = 1e-2
 
 #: [–] A multiplier below this fraction of a level's terms is none.
 NOTHING = 1e-12
+
+#: [of the step] Leaks of strong rows into weak directions up to this are looked at in double precision only.
+LEAKS = 1e-5
+
+#: [of what a step of this size can do to a level] A level that asks for less asks for nothing.
+LEAST_DEMAND = 1e-6
+
+#: [of the step] A displacement below this is rounding that no estimate foresaw.
+OFF = 1e-12
 
 # --- The active set -----------------------------------------------------------------------------------------------------
 
@@ -67,19 +79,52 @@ FLOOR = 1e-9
 #: [–] Active rows visited before the search from a guess is given up.
 ITERATIONS = 60
 
+#: [–] Attempts to mend a step that is off by rounding.
+REFINEMENTS = 3
+
+#: [of the step] What is off by more is not off by rounding.
+REFINABLE = 1e-2
+
+# --- A guess from nothing ---------------------------------------------------------------------------------------------
+
+#: [–] Directions along which a stage's cost hardly changes, followed or not, in turn: real in slivers, else rounding.
+WEAK = (DEPENDENT, 1e-7)
+
+#: [–] A multiplier above this fraction of the largest fixes its row; below, it stays an inequality, which does no harm.
+FIXING = 1e-7
+
+#: [of a stage's unit] A multiplier below this is none.
+FAINT = 1e-9
+
+#: [of the gradient's terms] A multiplier below minus this is negative.
+NEGATIVE = 1e-11
+
+#: [of the variables] A move shorter than this is none.
+STILL = 1e-13
+
+#: [–] Steps without progress before Bland's rule.
+IDLE = 4
+
+#: [–] Iterations per row and variable before the method gives up.
+ROUNDS = 20
+
+#: [of a soft level's unit] An excess below this is rounding.
+EXCEEDED = 1e-9
+
 # --- Backends -----------------------------------------------------------------------------------------------------------
 
 #: [of the step] A solver's own step may break a row by this much; beyond, it is not accepted.
 ACCEPTED_VIOLATION = 1e-6
 
-#: [of the step] A row this close to a stage's answer is tight: ten times what a solver at accuracy 1e-8 leaves open.
-TIGHT = 1e-7
+#: [of the step] A row this close to a stage's answer is tight: thirty times what a solver at accuracy 1e-8 leaves open. At
+#: 1e-7 SCS lost one winding of four.
+TIGHT = 3e-7
 
-#: [–] The same fraction in the QPs that a solver gets: what it is divided by makes rounding of 1e-16 a constraint off by
-#: 1e-9. A solver makes a guess, which the kernel corrects.
+#: [–] How much of a row must be left to count as one in the QP that a solver gets: divided by less, rounding becomes a
+#: constraint, and at 3e-7 and below ProxQP lost a winding. A solver only makes a guess, which the kernel corrects.
 SETTLED_FOR_SOLVERS = 2e-6
 
-#: [–] Tight rows that leave a wedge narrower than this leave no room to a QP solver: all fail on narrower ones.
+#: [–] Tight rows that leave a wedge narrower than this leave no room to a QP solver: solvers fail on narrower ones.
 NARROW = 1e-5
 
 # --- Conflicts ----------------------------------------------------------------------------------------------------------

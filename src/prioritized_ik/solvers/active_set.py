@@ -16,13 +16,10 @@ from numpy.typing import NDArray
 from prioritized_ik.solvers.certificate import Proof
 from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
 from prioritized_ik.solvers.subspaces import Range
-from prioritized_ik.tolerances import CERTIFIED, DEPENDENT, DRIFT, GUESS, ITERATIONS, KEPT
+from prioritized_ik.tolerances import CERTIFIED, DEPENDENT, DRIFT, GUESS, ITERATIONS, KEPT, REFINABLE, REFINEMENTS
 from prioritized_ik.validation import Array, lengths
 
 Active = NDArray[np.bool_]
-
-REFINEMENTS = 3  # of a step that is off by rounding
-REFINABLE = 1e-2  # of the step: what is off by more is not off by rounding
 
 
 @dataclass(frozen=True)

@@ -32,14 +32,8 @@ from numpy.typing import ArrayLike, NDArray
 from prioritized_ik.problem import IKProblem, Level, trusted
 from prioritized_ik.solvers.hierarchy import HARD, Hierarchy, Shortfall
 from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
-from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, NOTHING, ROUNDING, UNDECIDED, UNFELT
+from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAKS, LEAST_DEMAND, NOTHING, OFF, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, finite_array, fraction, length, lengths
-
-LEAKS = 1e-5  # of the step: leaks of strong rows into weak directions up to this are looked at in double precision only
-
-LEAST_DEMAND = 1e-6  # of what a step of this size can do to a level: a level that asks for less asks for nothing
-
-OFF = 1e-12  # of the step: a displacement below this is rounding that no estimate foresaw
 
 FAR = 1e300  # a row that no level above holds can move any way
 

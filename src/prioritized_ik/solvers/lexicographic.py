@@ -30,16 +30,13 @@ from prioritized_ik.solvers.stages import FoldState, Stage, damped_stage, level_
 from prioritized_ik.solvers.stagewise import stagewise
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.solvers.subspaces import directions_left
-from prioritized_ik.tolerances import ACCEPTED_VIOLATION, DEPENDENT, FREE, NARROW, SETTLED_FOR_SOLVERS, TIGHT
+from prioritized_ik.tolerances import ACCEPTED_VIOLATION, FREE, NARROW, SETTLED_FOR_SOLVERS, TIGHT, WEAK
 from prioritized_ik.validation import Array, fraction, non_negative, one_of
 
 FORMULATIONS = ("lexicographic", "damped", "slack")
 
 #: Those that are one QP, solved as it stands; the other is a fold over stages.
 ONE_QP = {"damped": damped_stage, "slack": slack_stage}
-
-#: Directions along which a stage's cost hardly changes, followed or not, in turn: real ones in slivers, rounding elsewhere.
-WEAK = (DEPENDENT, 1e-7)
 
 #: The damping of mink and pink, of the formulations that are one QP.
 DAMPING = 1e-12
@@ -346,14 +343,15 @@ def _finished(
         status = StepStatus.NOT_FOUND if conflict is None else StepStatus.INFEASIBLE
         return JointStep(None, status, answer, conflict=conflict)
     raw = None if solution is not None else problem.from_metric(answer)
+    from_nothing = False
     if solution is None and options.polish:
         solution = active_set.solve(hierarchy, active_set.guessed(hierarchy, answer), answer)
         if not solution.converged:
-            solution = _from_nothing(hierarchy)  # the same for every solver
+            solution, from_nothing = _from_nothing(hierarchy), True  # the same for every solver
     if solution is None:
         solution = Solution(answer, Proof(hierarchy, answer), active_set.guessed(hierarchy, answer), 0, converged=True)
     step = _step(problem, hierarchy, solution.u, solution.proof, converged=solution.converged)
-    step = replace(step, raw=raw, repairs=solution.iterations)
+    step = replace(step, raw=raw, repairs=solution.iterations, from_nothing=from_nothing)
     if step.violation <= ACCEPTED_VIOLATION:
         return step
     conflict = find_conflict(problem)

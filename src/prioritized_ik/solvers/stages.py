@@ -20,13 +20,12 @@ from numpy.typing import NDArray
 
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy
+from prioritized_ik.tolerances import EXCEEDED
 from prioritized_ik.validation import Array, lengths
 
 #: In the last stage the optimum is within 2 units of x = 0, which is feasible; slacks beyond this can be cut to it
 #: without changing the optimum, and interior-point solvers start far off if they are not.
 FAR_SLACK = 10.0
-
-EXCEEDED = 1e-9  # of a soft level's unit: an excess below this is rounding
 
 
 @dataclass(frozen=True)

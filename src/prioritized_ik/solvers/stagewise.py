@@ -16,16 +16,8 @@ from numpy.typing import NDArray
 from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.stages import FoldState, Stage, level_stage, reference_stage
 from prioritized_ik.solvers.subspaces import null_space
-from prioritized_ik.tolerances import DEPENDENT, FEASIBLE
+from prioritized_ik.tolerances import DEPENDENT, FAINT, FEASIBLE, FIXING, IDLE, NEGATIVE, ROUNDS, STILL
 from prioritized_ik.validation import Array, lengths
-
-#: A multiplier above this fraction of the largest fixes its row; below, it stays an inequality, which does no harm.
-FIXING = 1e-7
-FAINT = 1e-9  # of a stage's unit: a multiplier below this is none
-NEGATIVE = 1e-11  # of the gradient: a multiplier below minus this is negative
-STILL = 1e-13  # of the variables: a move shorter than this is none
-IDLE = 4  # steps without progress before Bland's rule
-ROUNDS = 20  # per row and variable, before the method gives up
 
 
 def stagewise(hierarchy: Hierarchy, weak: float = DEPENDENT) -> tuple[Array, NDArray[np.bool_]] | None:

@@ -51,7 +51,9 @@ class JointStep:
         calls: how often the solver was called.
         certificate: the proof that the step is the optimum, or the figures that it lacks; None if there is no step.
         raw: the solver's own step `(m,)` before it was polished; None if there was none.
-        repairs: how often the polish had to correct which rows the solver's step rests on.
+        repairs: how often the kernel had to correct which rows the guess rests on.
+        from_nothing: whether the solver's guess led nowhere, so that the kernel made the step from nothing: it is proven or
+            not like any other, but owes nothing to the solver.
         conflict: of an infeasible problem, the rows that contradict each other.
         levels: how each `equal` level was cut to its rank, and what that left undone.
         zeros: names of rows that were taken for zero, because they are rounding.
@@ -68,6 +70,7 @@ class JointStep:
     certificate: Certificate | None = None
     raw: Array | None = None
     repairs: int = 0
+    from_nothing: bool = False
     conflict: Conflict | None = None
     levels: tuple[LevelReport, ...] = ()
     zeros: tuple[str, ...] = ()
@@ -80,6 +83,8 @@ class JointStep:
             f"{self.status.name}: {self.certificate}",
             f"  errors by level: {', '.join(f'{c**0.5:.3g}' for c in self.costs)}",
         ]
+        if self.from_nothing:
+            lines.append("  made from nothing: the solver's guess led nowhere")
         if self.tight_rows:
             shown = ", ".join(self.tight_rows[:5])
             more = f" and {len(self.tight_rows) - 5} more" if len(self.tight_rows) > 5 else ""
