@@ -115,3 +115,12 @@ class TestSabotage:
                 swapped += verdict.word == campaign.WRONG
                 assert verdict.word in (campaign.WRONG, campaign.UNCERTIFIED)
         assert swapped >= 10
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [("nearly_parallel_levels", 20138), ("near_redundant", 20300)],
+    ids=["rows that cancel but for rounding", "a weak direction as a difference of strong rows"],
+)
+def test_what_rounding_leaves_of_large_terms_proves_nothing(name: str, seed: int) -> None:
+    assert campaign.judge(campaign.draw(name, seed), "active-set").word != campaign.WRONG

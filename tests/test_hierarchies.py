@@ -44,10 +44,12 @@ TINY = 1e-9  # relative: measured 7e-12; least squares on rows that count twice,
 #: Relative to the step. The certificate's figures are below 1e-8, and a lower level passes on what is left above it ten
 #: to a hundred times; the polish makes it 1e-12 in nearly all cases. Problems are drawn so that rounding is below 1e-8.
 AGREES = 1e-6
-BLUR = 2e-13  # a thousand roundings, which the optimum follows as far as it is sensitive; measured 413 of 300 problems
+BLUR = 2e-13  # a thousand roundings, which the optimum follows as far as it is sensitive; measured 413 on 600 problems
+BLURRED = 2e-8  # and never more than this, whatever the sensitivity; measured 8e-9 on those, 1.2e-8 at worst
 
 NEARLY_ALL = 0.999  # of DAQP's steps are optimal; weights over six decades leave some of them undecided to rounding
-MOST = 0.8  # of all steps are certified, and of the others' optimal: those that give up more often are right elsewhere
+MOST = 0.8  # of the others' steps: those that give up more often must be right where they do not
+DECIDED = 0.95  # of DAQP's steps are certified; measured 198 of 200, and of others 23 of 25 at least
 WITNESS = 1e-8  # of the size of a level's terms, squared: what CVXPY's strictest solver leaves of its cost
 
 SOLVERS = {"daqp": 150, "proxqp": 25, "quadprog": 25, "clarabel": 25, "piqp": 25}
@@ -124,7 +126,7 @@ def test_random_steps_beat_what_is_not_the_optimum(seed):
 @given(hierarchies)
 def test_least_squares_on_the_pressed_rows_is_the_planted_optimum(known):
     found = solution_on(known.problem, known.presses, known.dtheta)
-    assert error_of(found, known) <= BLUR * max(sensitivity(known), 1.0)
+    assert error_of(found, known) <= min(BLUR * max(sensitivity(known), 1.0), BLURRED)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -311,7 +313,7 @@ def test_campaign_of_planted_problems(solver, part, least, request, capsys):
         print(f"\nplanted, {solver}: {tally}")
     assert not tally.wrong
     assert tally.share >= least
-    assert tally.certified >= MOST
+    assert tally.certified >= (DECIDED if solver == "daqp" else MOST)
 
 
 def test_campaign_of_unplanned_problems(request, capsys):
@@ -329,5 +331,5 @@ def test_campaign_of_unplanned_problems(request, capsys):
         print(f"\nunplanned, daqp against {witnesses} witnesses: {tally}")
     assert not tally.wrong
     assert tally.share >= NEARLY_ALL
-    assert tally.certified >= MOST
+    assert tally.certified >= DECIDED
     assert witnesses >= MOST * len(tally.times)

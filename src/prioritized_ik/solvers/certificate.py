@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.problem import IKProblem, Level, trusted
-from prioritized_ik.solvers.hierarchy import HARD, Hierarchy, Shortfall
+from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy, Shortfall
 from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
 from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAKS, LEAST_DEMAND, NOTHING, OFF, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, finite_array, fraction, length, lengths
@@ -196,6 +196,7 @@ class Proof:
         self.exceeded = (rows.level != HARD) & (self.slack < -near)
         #: How far a row can move that a level above holds, infinite for those that none holds.
         self._leak = np.full(len(rows.upper), np.inf)
+        self._blur = 0.0  # how far rounding may have turned the directions that the levels so far leave
         self._off = 0.0  # by how much the step is off at the levels so far, in what they decide
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
         self.levels = list(self._prove())
@@ -232,13 +233,14 @@ class Proof:
         for number, (level, block) in enumerate(zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)):
             shortfall = block.shortfall(rows, self.slack, self.exceeded, u, free)
             yield self._proof(level, block.demand, shortfall, free, near, number)
-            if block.is_soft:
+            if not isinstance(block, EqualBlock):
                 # None may be exceeded by more than it is, and none by less without costing the level: they hold.
                 own = self.exceeded & (rows.level == number)
                 free = shortfall.felt.unfelt if own.any() else free
                 near = np.concatenate([near, np.flatnonzero(self.near & (rows.level == number))])
             else:
                 free = shortfall.felt.unfelt
+                self._blur = max(self._blur, block.blur)
         reference = hierarchy.problem.reference
         terms = np.abs(free.T) @ (np.abs(u) + np.abs(reference))
         size = length(u) + length(reference)
@@ -272,7 +274,7 @@ class Proof:
         felt = shortfall.felt.felt
         follows = strength * float(np.linalg.norm(felt)) if felt.size else 0.0
         look = self._looked(level, shortfall, near, held, follows, number)
-        net = look.net(held)
+        net = look.balance.net(held)
         counts = np.abs(net) > NOTHING * (look.size + np.abs(net).sum())
         pull = net / look.balance.sizes
         slack = np.abs(self.slack[near])
@@ -337,7 +339,9 @@ class Proof:
                 gradient, blur = _exact_gradient(self._as_cut(level, number), felt, self._u, len(gradient), blur)
             lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
             balance = _balanced(self._hierarchy.rows.matrix[near], basis, lacking, held, extended=extended)
-            rounding = blur + balance.rounding
+            # Multipliers as large as that are made of what rounding leaves of rows that cancel each other.
+            turned = self._blur * sizes * float(np.abs(balance.net(held) / balance.sizes).sum())
+            rounding = blur + balance.rounding + turned
             beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
             explained = max(float(np.linalg.norm(sizes * rounding)), 0.0 if extended else leaks)
             look = _Look(balance, gradient, sizes, rounding, beyond, -(basis @ beyond), explained, length(shortfall.terms))
@@ -376,12 +380,6 @@ class _Look:
     explained: float
     size: float
 
-    def net(self, held: NDArray[np.bool_]) -> Array:
-        """Return the multipliers of the rows' normals `(t,)`, of either sign where a row is `held`."""
-        net = self.balance.combination[: len(held)].copy()
-        net[held] -= self.balance.combination[len(held) :]
-        return net
-
 
 def _exact_gradient(level: Level, felt: Array, u: Array, size: int, blur: Array) -> tuple[Array, Array]:
     """Return feltᵀ AᵀW(A u - b) `(size,)`, zero beyond what is felt, in extended precision, and its rounding.
@@ -397,7 +395,7 @@ def _exact_gradient(level: Level, felt: Array, u: Array, size: int, blur: Array)
     sizes = np.abs(level.matrix) @ np.abs(u) + np.abs(level.target)
     blur = blur.copy()
     ratio = float(np.finfo(long).eps / np.finfo(float).eps)
-    blur[: felt.shape[1]] = ROUNDING * ratio * (np.abs(level.matrix @ felt).T @ (level.weights * sizes))
+    blur[: felt.shape[1]] = ROUNDING * ratio * ((np.abs(level.matrix) @ np.abs(felt)).T @ (level.weights * sizes))
     return gradient, blur
 
 
@@ -418,6 +416,12 @@ class _Balance:
     combination: Array
     rest: Array
     rounding: Array
+
+    def net(self, held: NDArray[np.bool_]) -> Array:
+        """Return the multipliers of the normals `(t,)`, of either sign where a row is `held`."""
+        net = self.combination[: len(held)].copy()
+        net[held] -= self.combination[len(held) :]
+        return net
 
 
 def _balanced(rows: Array, basis: Array, gradient: Array, held: NDArray[np.bool_], *, extended: bool) -> _Balance:

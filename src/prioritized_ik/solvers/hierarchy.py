@@ -61,9 +61,11 @@ class EqualBlock:
         whitening: Qᵀ W^½ `(p, k)`, from the level's rows to its own coordinates.
         below: orthonormal directions `(m, f - p)` left to the levels below.
         settled: what less of a direction is left by this level and those above is rounding, see `Hierarchy.settled`.
+        blur: how far rounding may have turned the directions below, by this level alone: the more the weaker it is.
         spectrum: the singular values, and where they were cut.
         target: c `(p,)`.
         terms: sizes of the terms that make up the target `(p,)`.
+        spread: sizes of the terms that make up the matrix `(p, m)`: a weak direction is a difference of strong rows.
         demand: length of W^½ b, out of reach or not.
     """
 
@@ -75,9 +77,11 @@ class EqualBlock:
     whitening: Array
     below: Array
     settled: float
+    blur: float
     spectrum: Spectrum
     target: Array
     terms: Array
+    spread: Array
     demand: float
 
     is_soft: ClassVar[bool] = False
@@ -107,7 +111,7 @@ class EqualBlock:
     def shortfall(self, rows: "PooledRows", slack: Array, exceeded: NDArray[np.bool_], u: Array, free: Array) -> Shortfall:
         """Return what the level lacks at `u`."""
         felt = self.within(free)
-        terms = self.terms + np.abs(self.matrix) @ np.abs(u)
+        terms = self.terms + self.spread @ np.abs(u)
         size = self.demand + float(np.linalg.norm(self.root)) * length(u)
         return Shortfall(felt, -felt.project(self.missing(u)), felt.project_sizes(terms), size, 0.0)
 
@@ -367,7 +371,7 @@ def _equal_block(level: Level, free: Array, rank_tolerance: float, settled: floa
     if free.shape[1] < len(free):  # what the levels above decide moves this one too
         whole = whitening @ level.matrix
         matrix = matrix + _without(whole, free)
-    blurred = PROJECTION * EPS / spectrum.kept[-1] if len(spectrum.kept) else 0.0
+    blur = min(PROJECTION * EPS / float(spectrum.kept[-1]), UNSURE) if len(spectrum.kept) else 0.0
     return EqualBlock(
         free,
         felt,
@@ -376,10 +380,12 @@ def _equal_block(level: Level, free: Array, rank_tolerance: float, settled: floa
         matrix,
         whitening,
         free @ unfelt,
-        max(settled, min(blurred, UNSURE)),
+        max(settled, blur),
+        blur,
         spectrum,
         whitening @ level.target,
         np.abs(whitening) @ np.abs(level.target),
+        np.abs(whitening) @ np.abs(level.matrix),
         level.demand,
     )
 
