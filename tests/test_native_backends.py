@@ -21,6 +21,7 @@ from prioritized_ik.solvers.hierarchy import Hierarchy, strict_solution
 from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage, joint_step, solve
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.solvers.step import StepStatus
+from prioritized_ik.tolerances import SETTLED_FOR_SOLVERS
 
 WORKSPACES = {
     "daqp-warm": daqp_.DaqpWorkspace,
@@ -35,12 +36,9 @@ STARTED = [name for name in STAGED if name != "piqp-warm"]  # an interior-point 
 
 #: Of the joint step before it is polished, relative, where rows bind: DAQP answers once, with a shift, the others zoom in.
 RAW_ERROR = {"daqp-warm": 1e-4} | dict.fromkeys(["osqp-warm", "piqp-warm"], 1e-6)
-RAW_ERROR |= {
-    "daqp-hierarchy": 3e-6
-}  # rows count as settled from 3e-7 of their length on, ten times which is left open here
+RAW_ERROR |= {"daqp-hierarchy": 10.0 * SETTLED_FOR_SOLVERS}  # what a settled row has left of its length is left open
 RAW_ERROR |= {"proxqp-warm": 1e-6, "proxqp-sparse-warm": 3e-6}  # stops at a residual, and scales the sparse data otherwise
 CLOSED_FORM_ERROR = 1e-6  # what the solvers of qpsolvers promise on a free step
-START_ERROR = 1e-7  # of a joint step, relative, from another start: first-order methods end within their tolerance
 SMALL = 1e-6  # [rad] of problems of two or three joints, with steps of 1 rad: ten times the worst measured
 NEAR = 1e-6  # of the step: a row this near is tight for the polish
 
@@ -135,9 +133,10 @@ def test_a_free_step_is_the_closed_form(name):
 def test_steps_in_a_row_do_not_depend_on_where_they_start(name):
     warm = get_backend(name)
     for problem in list(recorded("up").problems())[60:80]:
-        assert relative(
-            joint_step(problem, warm, AS_RECORDED).raw, joint_step(problem, get_backend(name), AS_RECORDED).raw
-        ) <= (START_ERROR)
+        here, anew = (joint_step(problem, backend, AS_RECORDED) for backend in (warm, get_backend(name)))
+        assert here.dtheta.tobytes() == anew.dtheta.tobytes()
+        # A first-order method ends anywhere within its tolerance: two of its answers are twice their error apart.
+        assert relative(here.raw, anew.raw) <= 2.0 * RAW_ERROR[name]
 
 
 @pytest.mark.parametrize("name", STAGED)
@@ -194,8 +193,8 @@ def test_a_stage_solved_again_takes_fewer_iterations(name):
             iterations.append(backend.iterations)
     if name == "daqp-warm":
         assert max(warm) == 1 < min(cold)  # the rows are right from the start
-    if name not in STARTED:
-        assert warm == cold
+    if name not in STARTED:  # the data of the last stage is replaced, its scaling is kept: rounding is another
+        assert np.max(np.abs(np.subtract(warm, cold))) <= 1
     elif name != "osqp-warm":  # the step size that it ended with can cost it more than the start saves
         assert sum(warm) < sum(cold)
 

@@ -153,7 +153,8 @@ def test_what_solvers_print_is_not_shown_and_what_comes_after_is(capfd):
 
 def answers(failing: str = "") -> Results:
     """Fabricated answers of `SCALE`: errors of 1e-9, but for the backend and formulation that fails."""
-    one = {"free": True, "found": True, "status": "SOLVED", "violation": 0.0, "certified": True, "same_bits": True}
+    one = {"free": True, "found": True, "status": "SOLVED", "violation": 0.0, "certified": True, "same_bits": True,
+           "own_guess": True}  # fmt: skip
     good = {**one, "dtheta_error": 1e-9, "dx_error": 1e-10, "cost_gap": 0.0}
     bad = {**dict.fromkeys(good), "free": True, "found": False, "status": "NOT_FOUND", "certified": False}
     jobs = {(s, f): replayed_job(SCALE, s, f) for s in SCALE.solvers or () for f in formulations(s)}
@@ -172,9 +173,9 @@ def test_table_4_has_one_row_a_backend_and_formulation_and_none_is_dropped_for_f
 def test_the_solvers_table_has_one_row_a_backend_and_one_for_mink():
     table = solvers.build(SCALE, answers("lexicographic"))
     assert [row[0] for row in table.rows] == ["daqp", "daqp-warm", "mink (daqp)"]
-    assert table.rows[0][2:8] == (None, None, None, 0.0, None, "3/3")
-    assert table.rows[0][8:] == (1e-9, 1e-9, "0/3")
-    assert table.rows[1][8:] == (None, None, None)  # it is not given the damped QP
+    assert table.rows[0][2:9] == (None, None, None, 0.0, None, None, "3/3")
+    assert table.rows[0][9:] == (1e-9, 1e-9, "0/3")
+    assert table.rows[1][9:] == (None, None, None)  # it is not given the damped QP
 
 
 def test_digits_of_agreement():

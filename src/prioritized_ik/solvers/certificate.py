@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from prioritized_ik.problem import IKProblem, Level, trusted
 from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy, Shortfall
 from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
-from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAKS, LEAST_DEMAND, NOTHING, OFF, ROUNDING, UNDECIDED, UNFELT
+from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAKS, LEAST_DEMAND, NOISE, NOTHING, OFF, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, finite_array, fraction, length, lengths
 
 FAR = 1e300  # a row that no level above holds can move any way
@@ -289,9 +289,7 @@ class Proof:
         self._leak[first] = gap / multipliers[first]
         loosened = 0.0  # how far dθ may go until rows that carry a multiplier are tight; the last level's gap tells
         if number is not None:
-            away = rows.reach(near, shortfall.felt.unfelt)
-            away = np.where(away > settled, away, rows.reach(near, free))
-            loosened = float((np.where(back, 0.0, slack) / away)[counts].sum())
+            loosened = self._loosened(near[counts & ~back], shortfall.felt.unfelt, free)
         # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
         off = self._off * (1.0 + follows)
         above = max(self._above, off)
@@ -311,6 +309,21 @@ class Proof:
             self.scale,
             self.tolerance,
         )
+
+    def _loosened(self, carrying: NDArray[np.int_], unfelt: Array, free: Array) -> float:
+        """Return how far the step may go until the `carrying` rows are tight, one after the other or all together.
+
+        Along what the level does not feel, but for rows that this does not move.
+        """
+        rows, slack = self._hierarchy.rows, np.abs(self.slack[carrying])
+        moves = rows.reach(carrying, unfelt) > self._hierarchy.settled
+        far = 0.0
+        for among, directions in ((moves, unfelt), (~moves, free)):
+            if among.any():
+                normals = rows.matrix[carrying[among]] @ directions
+                apart = float((slack[among] / lengths(normals)).sum())
+                far += max(apart, length(np.linalg.lstsq(normals, slack[among])[0]))
+        return far
 
     def _looked(
         self,
@@ -333,12 +346,15 @@ class Proof:
         terms = np.concatenate([shortfall.terms + shortfall.leak * strongest, shortfall.leak * unfelt_lengths])
         # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
         leaks = EPS * follows * math.sqrt(level.cost(self._u)) * strongest
+        noise = self._hierarchy.problem.noise
+        stated = noise > NOISE
+        unit = noise if stated else ROUNDING
         for extended in (False, True):
-            blur = ROUNDING * terms
+            blur = unit * terms
             if extended and not level.is_soft:
                 gradient, blur = _exact_gradient(self._as_cut(level, number), felt, self._u, len(gradient), blur)
             lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
-            balance = _balanced(self._hierarchy.rows.matrix[near], basis, lacking, held, extended=extended)
+            balance = _balanced(self._hierarchy.rows.matrix[near], basis, lacking, held, unit, extended=extended)
             # Multipliers as large as that are made of what rounding leaves of rows that cancel each other.
             turned = self._blur * sizes * float(np.abs(balance.net(held) / balance.sizes).sum())
             rounding = blur + balance.rounding + turned
@@ -346,7 +362,7 @@ class Proof:
             explained = max(float(np.linalg.norm(sizes * rounding)), 0.0 if extended else leaks)
             look = _Look(balance, gradient, sizes, rounding, beyond, -(basis @ beyond), explained, length(shortfall.terms))
             off = max(explained / UNDECIDED, length(look.displacement) / self.tolerance, leaks / LEAKS)
-            if off <= self.scale:
+            if stated or off <= self.scale:  # more digits of data that are off in the seventh tell nothing
                 break
         return look
 
@@ -424,7 +440,9 @@ class _Balance:
         return net
 
 
-def _balanced(rows: Array, basis: Array, gradient: Array, held: NDArray[np.bool_], *, extended: bool) -> _Balance:
+def _balanced(
+    rows: Array, basis: Array, gradient: Array, held: NDArray[np.bool_], noise: float, *, extended: bool
+) -> _Balance:
     """Return how far `rows` `(t, m)` in the coordinates of `basis` `(m, v)` can balance a `gradient` `(v,)`.
 
     The combination may need digits that doubles do not have, where rows are nearly parallel or weights far apart; in
@@ -440,7 +458,7 @@ def _balanced(rows: Array, basis: Array, gradient: Array, held: NDArray[np.bool_
     combination, _ = nonnegative_least_squares(signed.T, -gradient)
     if not extended:
         rest = gradient + signed.T @ combination
-        return _Balance(normals, sizes, combination, rest, ROUNDING * (np.abs(signed).T @ combination))
+        return _Balance(normals, sizes, combination, rest, noise * (np.abs(signed).T @ combination))
     long = np.longdouble
     exact = (rows.astype(long) @ basis.astype(long)) / sizes.astype(long)[:, None]
     positive = combination > 0.0
