@@ -32,7 +32,20 @@ from numpy.typing import ArrayLike, NDArray
 from prioritized_ik.problem import IKProblem, Level, trusted
 from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy, Shortfall
 from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
-from prioritized_ik.tolerances import CERTIFIED, DEPENDENT, EPS, GAP, LEAKS, LEAST_DEMAND, NOISE, NOTHING, OFF, ROUNDING, UNDECIDED, UNFELT
+from prioritized_ik.tolerances import (
+    CERTIFIED,
+    DEPENDENT,
+    EPS,
+    GAP,
+    LEAKS,
+    LEAST_DEMAND,
+    NOISE,
+    NOTHING,
+    OFF,
+    ROUNDING,
+    UNDECIDED,
+    UNFELT,
+)
 from prioritized_ik.validation import Array, finite_array, fraction, length, lengths
 
 FAR = 1e300  # a row that no level above holds can move any way
