@@ -336,7 +336,7 @@ class Proof:
                 normals = rows.matrix[carrying[among]] @ directions
                 apart = float((slack[among] / lengths(normals)).sum())
                 real = np.where(slack[among] > ROUNDING * self.scale, slack[among], 0.0)
-                far += max(apart, length(np.linalg.lstsq(normals, real, rcond=DEPENDENT)[0]))
+                far += max(apart, float(np.linalg.norm(np.linalg.lstsq(normals, real, rcond=DEPENDENT)[0])))
         return far
 
     def _looked(
