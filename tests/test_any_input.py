@@ -42,6 +42,11 @@ REFUSED = {
     "a singular metric": (lambda: pik.IKProblem([], BOX, metric=[[1.0, 1.0], [1.0, 1.0]]), "expected a positive definite"),
     "too much noise": (lambda: pik.IKProblem([], BOX, noise=0.5), "noise is 0.5; expected a number above 0 and below 0.01"),
     "no noise": (lambda: pik.IKProblem([], BOX, noise=0.0), "noise is 0.0; expected a number above 0"),
+    "a tolerance below rounding": (
+        lambda: pik.certify(pik.IKProblem([], BOX), [0.0, 0.0], tolerance=1e-20),
+        r"^tolerance is 1e-20, less than rounding leaves in doubles; expected at least 1e-14",
+    ),
+    "a rank tolerance below rounding": (lambda: pik.SolveOptions(rank_tolerance=1e-17), "less than rounding leaves"),
     "negative damping": (lambda: pik.Level(EYE, [1.0, 2.0], damping=-1.0), "damping of level 'task' is -1.0"),
     "damped inequalities": (lambda: pik.Level(EYE, [1.0, 2.0], kind="at_most", damping=1.0), "soft inequalities have none"),
     "an unknown below": (lambda: pik.Level(EYE, [1.0, 2.0], below="x"), "choose one of: free, hold"),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.errors import InputError
+from prioritized_ik.tolerances import ROUNDING
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,13 @@ def fraction(name: str, value: float, *, below: float = 1.0) -> float:
     if not 0.0 < _number(value) < below:
         raise InputError(f"{name} is {value!r}; expected a number above 0 and below {below:g}.")
     return float(value)
+
+
+def tolerance_above_rounding(name: str, value: float) -> float:
+    """Return `value` as a float if it is a fraction that doubles can tell from rounding."""
+    if 0.0 < _number(value) < ROUNDING:
+        raise InputError(f"{name} is {value!r}, less than rounding leaves in doubles; expected at least {ROUNDING:.1g}.")
+    return fraction(name, value)
 
 
 def one_of(name: str, value: str, choices: Iterable[str]) -> str:

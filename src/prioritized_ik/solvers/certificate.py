@@ -46,7 +46,7 @@ from prioritized_ik.tolerances import (
     UNDECIDED,
     UNFELT,
 )
-from prioritized_ik.validation import Array, finite_array, fraction, length, lengths
+from prioritized_ik.validation import Array, finite_array, length, lengths, tolerance_above_rounding
 
 FAR = 1e300  # a row that no level above holds can move any way
 
@@ -184,7 +184,7 @@ def certify(
         InputError: a step of another length or not finite, a tolerance out of range.
     """
     step = finite_array("dtheta", dtheta, (problem.joint_count,))
-    fraction("tolerance", tolerance)
+    tolerance_above_rounding("tolerance", tolerance)
     return Proof(Hierarchy(problem, rank_tolerance), problem.to_metric(step), tolerance).certificate
 
 

@@ -22,7 +22,7 @@ from prioritized_ik.problem import IKProblem, Level, replaced
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, Spectrum, level_decomposition
 from prioritized_ik.solvers.subspaces import Range, divided, pivoted_qr, range_of
 from prioritized_ik.tolerances import DEPENDENT, EPS, FEASIBLE, FLOOR, PROJECTION, SETTLED_PER_RANK_TOLERANCE, UNSURE
-from prioritized_ik.validation import Array, fraction, length, lengths
+from prioritized_ik.validation import Array, length, lengths, tolerance_above_rounding
 
 HARD = -1  # the level of hard rows
 
@@ -209,7 +209,7 @@ class Hierarchy:
 
     def __init__(self, problem: IKProblem, rank_tolerance: float = 0.0) -> None:
         if rank_tolerance:
-            fraction("rank_tolerance", rank_tolerance)
+            tolerance_above_rounding("rank_tolerance", rank_tolerance)
         self._given = problem.in_metric
         self.problem, self.zeros, self._row_numbers = _without_rounding(self._given)
         self.rank_tolerance = rank_tolerance

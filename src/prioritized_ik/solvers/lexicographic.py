@@ -31,7 +31,7 @@ from prioritized_ik.solvers.stagewise import stagewise
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.solvers.subspaces import directions_left
 from prioritized_ik.tolerances import ACCEPTED_VIOLATION, FREE, NARROW, SETTLED_FOR_SOLVERS, TIGHT, WEAK
-from prioritized_ik.validation import Array, fraction, non_negative, one_of
+from prioritized_ik.validation import Array, fraction, non_negative, one_of, tolerance_above_rounding
 
 FORMULATIONS = ("lexicographic", "damped", "slack")
 
@@ -76,7 +76,7 @@ class SolveOptions:
                     "damp a level instead: Level(damping=…)."
                 )
         if non_negative("rank_tolerance", self.rank_tolerance):
-            fraction("rank_tolerance", self.rank_tolerance)
+            tolerance_above_rounding("rank_tolerance", self.rank_tolerance)
         fraction("accuracy", self.accuracy)
         object.__setattr__(self, "soften", tuple(self.soften))
 
