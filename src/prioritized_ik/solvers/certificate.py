@@ -14,9 +14,9 @@ without harm to those above:
 with leak_i how far a row that a level above holds can move without costing that level more than its own gap, and the rest
 counted in coordinates in which Q_ℓ is ‖·‖² (along directions that the level does not feel: times the size of the step).
 Where the levels above are decided to rounding only, the step may be off by v, and the level's cost by
-2 ‖A_ℓᵀW_ℓ(A_ℓ u - b_ℓ)‖ v + ‖W_ℓ^½ A_ℓ‖² v² more. So complementary slackness is part of the bound: a row merely near
-cannot carry a multiplier for nothing. What the conditions leave over is told as a joint displacement too, because a level
-may hardly feel what decides the step.
+2 ‖A_ℓᵀW_ℓ(A_ℓ u - b_ℓ)‖ v + ‖W_ℓ^½ A_ℓ‖² v² more, and by what mending the levels above would cost it. So complementary
+slackness is part of the bound: a row merely near cannot carry a multiplier for nothing. What the conditions leave over is
+told as a joint displacement too, because a level may hardly feel what decides the step.
 
 Everything is in the problem's joint metric.
 """
@@ -60,7 +60,7 @@ class LevelProof:
     Attributes:
         level: its name.
         gap: how much lower its cost could be with the levels above where they are, in its own units, squared.
-        carried: how much lower it could be because those above are decided to rounding only.
+        carried: how much lower it could be because those above are decided to rounding only, or if they were mended.
         demand: √(bᵀ W b), or its error √Q if that is more, what the gap is relative to, squared.
         displacement: what would still lower the level's cost without harm to those above `(m,)`, beyond rounding.
         rounding: how long a displacement the rounding of the conditions' own terms explains.
@@ -212,6 +212,7 @@ class Proof:
         self._blur = 0.0  # how far rounding may have turned the directions that the levels so far leave
         self._off = 0.0  # by how much the step is off at the levels so far, in what they decide
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
+        self._handed = np.zeros(len(u))  # the displacement that would mend the levels so far, however little
         self.levels = list(self._prove())
 
     @cached_property
@@ -306,12 +307,16 @@ class Proof:
         # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
         off = self._off * (1.0 + follows)
         above = max(self._above, off)
+        moved = level.matrix @ self._handed
+        handed = 2.0 * abs(float((level.weights * level.residual(self._u)) @ moved)) + float(level.weights @ moved**2)
+        # The level follows what mends those above, and has its own to mend.
+        self._handed = self._handed - felt @ (felt.T @ (level.matrix.T @ (level.weights * moved))) + look.displacement
         self._above = max(self._above, look.explained, loosened)
         self._off = off + (length(look.displacement) if length(look.displacement) > OFF * self.scale else 0.0)
         return LevelProof(
             level.name,
             gap,
-            steepness * above + (strength * above) ** 2,
+            steepness * above + (strength * above) ** 2 + handed,
             max(demand, math.sqrt(level.cost(self._u)), LEAST_DEMAND * shortfall.size),
             look.displacement,
             max(look.explained, loosened, self._off),
