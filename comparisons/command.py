@@ -6,11 +6,14 @@ import webbrowser
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
 from prioritized_ik.cli import DISAGREES, made_folder, writable_file
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 Number = TypeVar("Number", int, float)
 
@@ -19,16 +22,50 @@ FILE_WIDTH = 310  # of tables that do not go to a terminal
 
 @click.command()
 def solvers() -> None:
-    """List the QP solvers: what is installed, its version and abilities, how to install what is missing."""
+    """List the methods and the QP solvers: version, what is installed, abilities, how to install what is missing."""
     from rich.console import Console
+
+    import comparisons.methods  # noqa: F401  its families are listed too
+
+    console = Console(width=None if os.isatty(1) else FILE_WIDTH)
+    console.print(_table_of_methods())
+    console.print("\nSOLVER by itself is lexicographic:SOLVER. The QP solvers:\n", highlight=False)
+    console.print(_table_of_solvers())
+
+
+def _table_of_methods() -> "Table":
+    from rich.table import Table
+
+    from prioritized_ik.solvers.registry import DEFAULT, families, get_method, installed_methods, known_methods
+
+    table = Table("method", "version", "path", "available", "what it is", box=None)
+    installed = installed_methods(on_request=True)
+    for name in (name for name in known_methods() if ":" not in name):
+        if name not in installed:
+            table.add_row(name, "–", "–", "pip install daqp", "")
+            continue
+        method = get_method(name)
+        first_line = (type(method).__doc__ or "").partition("\n")[0]
+        table.add_row(name, method.version, method.path, "yes, the default" if name == DEFAULT else "yes", first_line)
+    for name, family in families().items():
+        able, known = family.installed(True), family.known()
+        paths = sorted({get_method(f"{name}:{solver}").path for solver in able})
+        available = f"{len(able)} of {len({*able, *known})} solvers"
+        table.add_row(f"{name}:SOLVER", "the solver's", ", ".join(paths) or "–", available, family.about)
+    return table
+
+
+def _table_of_solvers() -> "Table":
     from rich.table import Table
 
     from prioritized_ik.solvers.backends.abilities import abilities_of
     from prioritized_ik.solvers.backends.registry import get_backend, installed_solvers, known_solvers
+    from prioritized_ik.solvers.registry import families
 
-    columns = ("native", "semidefinite", "sparse", "warm start", "refinement", "how to get it")
+    columns = ("native", "semidefinite", "sparse", "warm start", "refinement", "how to get it", "methods")
     table = Table("solver", "version", *columns, box=None)
     installed = installed_solvers(on_request=True)
+    takes = {family: found.installed(True) for family, found in families().items()}
     for name in known_solvers():
         abilities = abilities_of(name)
         able = (abilities.native, abilities.semidefinite, abilities.sparse, abilities.warm_start)
@@ -38,14 +75,21 @@ def solvers() -> None:
         version = get_backend(name).version if name in installed else "–"
         how = f"pip install {abilities.package}" if name not in installed else "installed"
         how += ", runs when named" if abilities.on_request else ""
-        table.add_row(name, version, *flags, ", ".join(refinement) or "–", how)
-    Console(width=None if os.isatty(1) else FILE_WIDTH).print(table)
+        methods = " ".join(family for family, able_here in takes.items() if name in able_here)
+        table.add_row(name, version, *flags, ", ".join(refinement) or "–", how, methods or "–")
+    return table
 
 
 @click.command()
-@click.option("--solvers", "names", help="Backends, separated by commas; all installed unless given.")
+@click.option(
+    "--solvers", "names", help="Methods or QP solvers, separated by commas; active-set and all QP solvers unless given."
+)
 @click.option("--directions", default="up,down,front,back", help="Where the object comes from, separated by commas.")
-@click.option("--formulation", default="lexicographic,damped", help="Formulations to replay, separated by commas.")
+@click.option(
+    "--formulation",
+    default="lexicographic,damped",
+    help="Formulations that a QP solver is replayed in, separated by commas.",
+)
 @click.option("--steps", default=60, help="Recorded steps to replay of each winding.")
 @click.option("--links", default="17", help="Number of links; several, separated by commas, are swept, as in what follows.")
 @click.option("--link", default="6", help="The link that touches the object first.")
@@ -64,7 +108,7 @@ def solvers() -> None:
 @click.option(
     "--witness/--no-witness", default=False, help="Also solve the recorded steps by the problem written in CVXPY."
 )
-@click.option("--plugin", multiple=True, help="Module that registers backends of your own; can be repeated.")
+@click.option("--plugin", multiple=True, help="Module that registers methods of your own; can be repeated.")
 @click.option("--time-limit", default=10.0, help="Of one problem [s].")
 @click.option("--memory-limit", default=2.0, help="Of one solver [GiB].")
 @click.option("--workers", type=int, help="Processes at the same time.  [default: one a core]")

@@ -8,19 +8,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from comparisons.cases import Case, file_name
-from comparisons.settings import MINK_SOLVERS, ComparisonSettings
+from comparisons.methods import MINK, REFERENCE
+from comparisons.settings import MINK_SOLVERS, ONE_LEVEL, ONE_QP, ComparisonSettings
 from prioritized_ik.solvers.backends.abilities import abilities_of
-from prioritized_ik.solvers.lexicographic import ONE_QP
+from prioritized_ik.solvers.methods import ActiveSet
+from prioritized_ik.solvers.registry import LEXICOGRAPHIC, parts_of
 from prioritized_ik.winding.settings import CLOSED_FORM
 
 COLD, WARM = "cold", "warm"
 
-#: Solver names of mink's rows.
-MINK_ROWS = {f"mink ({solver})": solver for solver in MINK_SOLVERS}
+#: Mink's rows.
+MINK_ROWS = tuple(f"{MINK}:{solver}" for solver in MINK_SOLVERS)
 
 #: The witness's row: the problem written out in CVXPY, with the solver that it calls.
-WITNESS_SOLVER = "CLARABEL"
-WITNESS = f"cvxpy ({WITNESS_SOLVER.lower()})"
+WITNESS_SOLVER = "clarabel"
+WITNESS = f"{REFERENCE}:{WITNESS_SOLVER}"
 
 #: These take longest, so they start first, and go without refinement where their answers are polished in any case.
 SLOW = (WITNESS, "ecos", "clarabel", "scs", "highs", "cvxopt")
@@ -34,7 +36,7 @@ class Job:
         kind: `"replay"`, of the recorded problems, or `"drive"`, of the arm.
         case: name of the case.
         solver: who.
-        formulation: of the problem.
+        formulation: of the problem: the method's family, or `"lexicographic"` of those that solve all levels exactly.
         accuracy: asked of the solver; None where none is: formulations of one QP and mink leave it to the solver.
         start: `"cold"`, set up afresh for each problem, or `"warm"`, from the step before, see `worker.replay`.
         repeat: which time, from 0.
@@ -47,6 +49,11 @@ class Job:
     accuracy: float | None
     start: str = COLD
     repeat: int = 0
+
+    @property
+    def method(self) -> str:
+        """Name of the method."""
+        return f"{self.formulation}:{self.solver}" if self.formulation in ONE_QP else self.solver
 
     @property
     def label(self) -> str:
@@ -76,36 +83,61 @@ def drives(settings: ComparisonSettings, cases: Sequence[Case]) -> list[Job]:
         return []
     todo = []
     for case in cases:
-        if "lexicographic" in settings.formulations:
-            for solver in settings.solvers:
-                start = WARM if starts_warm(solver) else COLD
-                todo.append(Job("drive", case.name, solver, "lexicographic", min(settings.accuracies_of(solver)), start))
-        if case.one_level:
-            others = [(CLOSED_FORM, "closed form"), *((name, "mink") for name in MINK_ROWS if settings.mink)]
-            todo += [Job("drive", case.name, name, formulation, None) for name, formulation in others]
+        rows = [form for name in settings.solvers for form in _forms(settings, name) if _drives(name, form[1])]
+        others = [(CLOSED_FORM, "closed form"), *((name, MINK) for name in MINK_ROWS if settings.mink)]
+        for solver, formulation in dict.fromkeys([*rows, *(others if case.one_level else [])]):
+            if case.one_level or formulation not in ONE_LEVEL:
+                accuracy = min(_accuracies(settings, solver, formulation), key=lambda a: a or 0.0)
+                start = WARM if starts_warm(solver) and formulation == LEXICOGRAPHIC else COLD
+                todo.append(Job("drive", case.name, solver, formulation, accuracy, start))
     return sorted(todo, key=lambda job: _slowest_first(job.solver))
 
 
 def starts_warm(solver: str) -> bool:
     """Whether a solver keeps what it learned from the step before."""
-    return abilities_of(solver).native and solver != "daqp-hierarchy"
+    return solver == ActiveSet.name or abilities_of(solver).native
 
 
 def _rows(settings: ComparisonSettings, case: Case) -> list[tuple[str, str, float | None, str]]:
     """Return solver, formulation, accuracy and start of everything that replays a case once."""
+    forms = [form for name in settings.solvers for form in _forms(settings, name)]
+    forms += [(name, MINK) for name in MINK_ROWS if settings.mink and case.one_level]
+    forms += [(WITNESS, REFERENCE)] if settings.witness else []
     rows: list[tuple[str, str, float | None, str]] = []
-    for solver in settings.solvers:
-        if "lexicographic" in settings.formulations:
-            starts = (COLD, WARM) if starts_warm(solver) else (COLD,)
-            rows += [(solver, "lexicographic", a, start) for a in settings.accuracies_of(solver) for start in starts]
-        # A start helps nothing in a QP solved once.
-        if case.one_level and not abilities_of(solver).native:
-            rows += [(solver, name, None, COLD) for name in settings.formulations if name in ONE_QP]
-    if settings.mink and case.one_level:
-        rows += [(name, "mink", None, COLD) for name in MINK_ROWS]
-    if settings.witness:
-        rows.append((WITNESS, "witness", None, COLD))
+    for solver, formulation in dict.fromkeys(forms):
+        if case.one_level or formulation not in ONE_LEVEL:
+            # A start helps nothing in a QP solved once.
+            starts = (COLD, WARM) if formulation == LEXICOGRAPHIC and starts_warm(solver) else (COLD,)
+            asked = _accuracies(settings, solver, formulation)
+            rows += [(solver, formulation, accuracy, start) for accuracy in asked for start in starts]
     return rows
+
+
+def _forms(settings: ComparisonSettings, name: str) -> list[tuple[str, str]]:
+    """Return as whom (solver) and as what (formulation) the method of a name is replayed.
+
+    A QP solver named by itself is replayed in every formulation asked for that suits it. The closed form is what all are
+    compared with, and so no row of its own.
+    """
+    family, solver = parts_of(name)
+    if family == LEXICOGRAPHIC and solver == name:
+        suited = (one for one in settings.formulations if one == LEXICOGRAPHIC or not abilities_of(name).native)
+        return [(name, formulation) for formulation in suited]
+    if family in (LEXICOGRAPHIC, *ONE_QP):
+        return [(solver, family)]
+    if family:
+        return [(name, family)]
+    return [(name, LEXICOGRAPHIC)] if name != CLOSED_FORM and LEXICOGRAPHIC in settings.formulations else []
+
+
+def _drives(name: str, formulation: str) -> bool:
+    """Whether what `name` asks for winds the arm itself: whatever is exact, and what its name says in full."""
+    return formulation == LEXICOGRAPHIC or ":" in name
+
+
+def _accuracies(settings: ComparisonSettings, solver: str, formulation: str) -> tuple[float | None, ...]:
+    """Return the accuracies asked of a solver; None where none is."""
+    return settings.accuracies_of(solver) if formulation == LEXICOGRAPHIC and solver != ActiveSet.name else (None,)
 
 
 def _slowest_first(solver: str) -> int:

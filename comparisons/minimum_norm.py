@@ -19,7 +19,8 @@ from prioritized_ik.problem import IKProblem, Level, Rows
 from prioritized_ik.solvers.backends.qpsolvers_ import SOLVER_ERRORS
 from prioritized_ik.solvers.backends.registry import get_backend, installed_solvers
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.lexicographic import SolveOptions, solve
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.validation import Array
 
 POSTURE = "arched"

@@ -1,4 +1,4 @@
-"""Backends of the user's own: modules that call `prioritized_ik.solvers.backends.registry.register` when imported.
+"""Methods of the user's own: modules that call `prioritized_ik.register` when imported.
 
 What they register is sent along to the processes, here and on a cluster, that solve with it; the module must be found there
 too, and so is imported as `python -m` would: from the current folder as well.
@@ -13,7 +13,7 @@ from prioritized_ik.errors import InputError
 
 
 def load_plugins(modules: Iterable[str]) -> None:
-    """Import modules that register backends.
+    """Import modules that register methods.
 
     Raises:
         InputError: there is no such module, or it lacks something.

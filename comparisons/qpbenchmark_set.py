@@ -26,7 +26,8 @@ from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.backends.protocol import Backend, StageResult
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.methods import Lexicographic
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.validation import Array, at_least
 from prioritized_ik.winding.episode import Episode
@@ -99,6 +100,10 @@ class _Recorder:
         self.stages: list[Stage] = []
         self._backend = backend
 
+    def solve_once(self, stage: Stage) -> StageResult:
+        """See `Backend.solve_once`."""
+        return self._backend.solve_once(stage)
+
     def solve(self, stage: Stage) -> StageResult:
         """Return the solver's answer."""
         result = self._backend.solve(stage)
@@ -113,7 +118,7 @@ def feasible_stages(problem: IKProblem, options: SolveOptions | None = None) -> 
     options = options or SolveOptions(rank_tolerance=RANK_TOLERANCE)
     recorder = _Recorder(QpsolversBackend(FOLDS, options.accuracy))
     # Neither shortcut nor polish: every level is a QP, whose stage follows from the QP above it.
-    joint_step(problem, recorder, replace(options, closed_form_first=False, polish=False))
+    Lexicographic(recorder).step(problem, replace(options, closed_form_first=False, polish=False))
     return recorder.stages
 
 

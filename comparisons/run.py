@@ -22,16 +22,16 @@ from typing import Any
 from comparisons import origin, worker
 from comparisons.cases import Case, cases_of, file_name, own_files
 from comparisons.isolation import Limits, LostError, isolated, isolated_each, prepare
-from comparisons.jobs import MINK_ROWS, WITNESS_SOLVER, Job, drives, replays
+from comparisons.jobs import WITNESS_SOLVER, Job, drives, replays
 from comparisons.own_qps import load_qp, measure_qps
 from comparisons.sample import Sampled, chosen, sampled
-from comparisons.settings import RECORDER, ComparisonSettings
+from comparisons.settings import MINK_SOLVERS, RECORDER, ComparisonSettings
 from comparisons.spread import Piece, spread_over
 from comparisons.store import Store
 from comparisons.tables import EPISODES, Record
 from prioritized_ik.errors import InputError, PrioritizedIkError
 from prioritized_ik.solvers.backends.abilities import abilities_of
-from prioritized_ik.solvers.backends.registry import get_backend, registered
+from prioritized_ik.solvers.registry import LEXICOGRAPHIC, get_method, parts_of, registered
 from prioritized_ik.winding.episode import Outcome
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
@@ -100,14 +100,15 @@ class _Run:
         there, pieces = self.store.parts("qps"), []
         for repeat in range(self._settings.repeats):
             for solver in self._settings.solvers if problems else ():
-                if solver in registered() or abilities_of(solver).native:
-                    continue  # these take stages, not QPs
+                family, name = parts_of(solver)
+                if family != LEXICOGRAPHIC or abilities_of(name).native:
+                    continue  # these take stages or hierarchies, not QPs
                 for accuracy in self._settings.accuracies_of(solver):
-                    name = file_name(solver, f"{accuracy:g}", repeat)
-                    who = {"solver": solver, "accuracy": accuracy, "repeat": repeat, "version": get_backend(solver).version}
-                    if name not in there:
-                        arguments = (solver, accuracy, problems, self._limits)
-                        add = partial(self._add_rows, "qps", name, who)
+                    file = file_name(name, f"{accuracy:g}", repeat)
+                    who = {"solver": name, "accuracy": accuracy, "repeat": repeat, "version": get_method(name).version}
+                    if file not in there:
+                        arguments = (name, accuracy, problems, self._limits)
+                        add = partial(self._add_rows, "qps", file, who)
                         pieces.append(Piece(f"QPs {solver}", qps, partial(tuple, arguments), add))
         return pieces
 
@@ -140,9 +141,9 @@ class _Run:
     def _driving(self, job: Job) -> tuple[Any, ...]:
         winding = self._cases[job.case].winding
         if job.solver == CLOSED_FORM:
-            winding = replace(winding, solver=CLOSED_FORM, limits=False, contacts=False)
-        elif job.accuracy is not None:
-            winding = replace(winding, solver=job.solver, options=self._settings.options(accuracy=job.accuracy))
+            winding = replace(winding, limits=False, contacts=False)
+        options = self._settings.options(job.formulation, job.accuracy)
+        winding = replace(winding, solver=job.method, options=options)
         return self._settings, job, winding, self._extra_of(job), self._limits
 
     def _extra_of(self, job: Job) -> worker.Factories:
@@ -230,7 +231,7 @@ def qps(solver: str, accuracy: float, problems: dict[str, Any], limits: Limits) 
 
 
 def sendable(solvers: tuple[str, ...]) -> worker.Factories:
-    """Return the factories of those `solvers` that were added to the registry, which are sent along.
+    """Return the factories of those methods that were added to the registry, which are sent along.
 
     Raises:
         InputError: one cannot be sent to another process.
@@ -241,7 +242,7 @@ def sendable(solvers: tuple[str, ...]) -> worker.Factories:
             pickle.dumps(factory)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise InputError(
-                f"backend {name!r} cannot be sent to a process of its own ({error}); register a function or a class of a "
+                f"method {name!r} cannot be sent to a process of its own ({error}); register a function or a class of a "
                 "module that can be imported."
             ) from error
     return extra
@@ -275,10 +276,10 @@ def _versions(settings: ComparisonSettings) -> dict[str, str]:
     if not settings.recorded:
         names[RECORDER] = None
     if settings.mink:
-        names |= dict.fromkeys(MINK_ROWS.values())
-    known = {name: get_backend(name).version for name in names if name not in registered()}
+        names |= dict.fromkeys(MINK_SOLVERS)
+    known = {name: get_method(name).version for name in names if name not in registered()}
     if settings.witness:
-        known |= {package: version(package) for package in ("cvxpy", WITNESS_SOLVER.lower())}
+        known |= {package: version(package) for package in ("cvxpy", WITNESS_SOLVER)}
     return origin.versions(known)
 
 

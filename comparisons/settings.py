@@ -4,16 +4,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from comparisons.methods import MINK
 from prioritized_ik.errors import InputError
 from prioritized_ik.models import DIRECTIONS
 from prioritized_ik.solvers.backends.abilities import abilities_of
-from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend, installed_solvers, registered
+from prioritized_ik.solvers.backends.registry import ACCURACY, installed_solvers
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.lexicographic import DAMPING, FORMULATIONS, ONE_QP, SolveOptions
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.methods import DAMPING
+from prioritized_ik.solvers.registry import DAMPED, DEFAULT, LEXICOGRAPHIC, SLACK, get_method, parts_of, registered
 from prioritized_ik.validation import at_least, fraction, non_negative, one_of, positive
 from prioritized_ik.winding.metrics import ROUND_SHAPES
 
-#: Rows beside the QP backends: Eqs. (12) to (14) alone, and what a user of mink gets today.
+#: Families that a QP solver named by itself is replayed in.
+FORMULATIONS = (LEXICOGRAPHIC, DAMPED, SLACK)
+
+#: Those whose problem is another one, with a damping of its own.
+ONE_QP = (DAMPED, SLACK)
+
+#: Whose problems have one level.
+ONE_LEVEL = (*ONE_QP, MINK)
+
+#: Rows beside those asked for: Eqs. (12) to (14) alone, and what a user of mink gets today.
 MINK_SOLVERS = ("daqp", "proxqp")
 
 RECORDER = "daqp"  # drives the arm while the problems for the replay are recorded
@@ -24,9 +36,9 @@ class ComparisonSettings:
     """Settings of one comparison.
 
     Attributes:
-        solvers: backends, by name.
+        solvers: methods by name, see `solvers.registry`; unless given, the kernel alone and every installed QP solver.
         directions: keys of `models.DIRECTIONS`.
-        formulations: of the replay; the arm is driven by the lexicographic QP only.
+        formulations: that a QP solver named by itself is replayed in; the arm is driven by the lexicographic one only.
         steps: problems replayed of each case, half of them free as far as there are so many.
         links: how many the arm has.
         link: the link that touches the object first.
@@ -74,7 +86,7 @@ class ComparisonSettings:
     scheduler: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "solvers", self.solvers or tuple(installed_solvers()))
+        object.__setattr__(self, "solvers", self.solvers or (DEFAULT, *installed_solvers()))
         for name, values in self._lists().items():
             if not values:
                 raise InputError(f"{name} is empty; expected at least one.")
@@ -94,7 +106,7 @@ class ComparisonSettings:
             fraction("accuracy", accuracy)
         for solver in self.solvers:
             if solver not in registered():  # what was added is not called here: it may crash
-                get_backend(solver, max(self.accuracy))
+                get_method(solver, max(self.accuracy))
         for name in ("steps", "repeats", "workers"):
             at_least(name, getattr(self, name), 1)
         for name in ("time_limit", "memory_limit"):
@@ -108,7 +120,6 @@ class ComparisonSettings:
         """Return how a backend is to solve, by default at the finest accuracy."""
         finest = min(self.accuracy) if accuracy is None else accuracy
         return SolveOptions(
-            formulation,
             finest,
             self.rank_tolerance,
             self.damping if formulation in ONE_QP else None,
@@ -116,8 +127,8 @@ class ComparisonSettings:
         )
 
     def accuracies_of(self, solver: str) -> tuple[float, ...]:
-        """Return those accuracies that `solver` reaches."""
-        finest = 0.0 if solver in registered() else abilities_of(solver).finest
+        """Return those accuracies that method `solver` reaches."""
+        finest = 0.0 if solver in registered() else abilities_of(parts_of(solver)[1]).finest
         return tuple(accuracy for accuracy in self.accuracy if accuracy >= finest)
 
     def left_out(self) -> dict[str, list[float]]:

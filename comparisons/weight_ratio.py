@@ -17,7 +17,9 @@ from prioritized_ik.errors import SolverUnavailableError, StepNotFoundError
 from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.lexicographic import DAMPING, SolveOptions, solve
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.methods import DAMPING
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.validation import Array
 from prioritized_ik.virtual_arms import VirtualArms
@@ -105,7 +107,7 @@ def by_qp(*levels: Level) -> Array:
 
 def by_slack_qp(solver: str, level: Level) -> Array:
     """The least of sᵀWs + damping ‖dθ‖² subject to J dθ + s = dX*: `by_damping` without the product JᵀWJ `(m,)`."""
-    return _found(solve(IKProblem([level]), solver, SolveOptions("slack", damping=DAMPING)))
+    return _found(solve(IKProblem([level]), f"slack:{solver}", SolveOptions(damping=DAMPING)))
 
 
 METHODS: dict[str, Callable[[Level], Array]] = {

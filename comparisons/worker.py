@@ -4,39 +4,39 @@ A backend's calls go through a guard, which tells its errors and what is no answ
 """
 
 import contextlib
-import functools
 import io
 import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from importlib.metadata import version
+from typing import TypeVar
 
 import numpy as np
 
 from comparisons.isolation import ERROR, MEMORY, NAN, BadAnswerError, Tell
-from comparisons.jobs import MINK_ROWS, SLOW, WARM, WITNESS, WITNESS_SOLVER, Job
+from comparisons.jobs import SLOW, WARM, Job
 from comparisons.judging import blank, judge
-from comparisons.mink_today import MinkSolver
 from comparisons.sample import Sampled, free_steps
 from comparisons.settings import ComparisonSettings
 from comparisons.tables import Record
-from prioritized_ik.errors import WitnessError
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.solvers.backends.protocol import AnyBackend, StageResult
-from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend, register
+from prioritized_ik.solvers.backends.protocol import Backend, StageResult
+from prioritized_ik.solvers.backends.registry import ACCURACY
 from prioritized_ik.solvers.certificate import certify
-from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.solvers.lexicographic import joint_step
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.methods import Lexicographic, Method, OneQp, Place
+from prioritized_ik.solvers.registry import get_method, register
+from prioritized_ik.solvers.solve import step_of
 from prioritized_ik.solvers.stages import Stage
-from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
-from prioritized_ik.solvers.witness import witness_step
+from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.validation import Array
-from prioritized_ik.winding.episode import Episode, Solve, wind
+from prioritized_ik.winding.episode import Episode, wind
 from prioritized_ik.winding.metrics import measure
-from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
+from prioritized_ik.winding.settings import WindingSettings
 
-Factories = Mapping[str, Callable[[float], AnyBackend]]
+Factories = Mapping[str, Callable[[float], Method]]
+
+Found = TypeVar("Found", StageResult, JointStep)
 
 NOT_FOUND = StepStatus.NOT_FOUND.name
 
@@ -68,15 +68,16 @@ def replay(
     answer depends on which other steps are replayed, nor on an accident before.
     """
     _register(extra)
-    tell({"about": {"version": version_of(job.solver)}})
+    tell({"about": {"version": get_method(job.method).version}})
+    options = settings.options(job.formulation, job.accuracy)
     for item in sample:
-        solve = _solver(settings, job, winding)
+        method, place = _guarded(job), Place(item.q, winding)
         if job.start == WARM and item.before is not None:
             with contextlib.suppress(BadAnswerError):  # to a problem that is not asked for
-                solve(item.before, item.q)
+                step_of(method, item.before, options, place)
                 tell(None)
         try:
-            step = solve(item.problem, item.q)
+            step = step_of(method, item.problem, options, place)
         except BadAnswerError as error:
             tell(failed(item, error.failure, str(error)))
         else:
@@ -90,42 +91,19 @@ def replay(
 def drive(tell: Tell, settings: ComparisonSettings, job: Job, winding: WindingSettings, extra: Factories) -> None:
     """Tell the solver's version, then the record of a winding that the job's solver drives."""
     _register(extra)
-    tell({"version": version_of(job.solver)}, ours=True)
-    failure: str | None = None
-    solve = None if job.solver == CLOSED_FORM else _solver(settings, job, winding)
-
-    def guarded(problem: IKProblem, q: Array) -> JointStep:
-        nonlocal failure
-        assert solve is not None
-        tell(None)  # the time limit is that of the solver's work on one problem
-        try:
-            return solve(problem, q)
-        except BadAnswerError as error:
-            failure = error.failure
-            return JointStep(None, StepStatus.NOT_FOUND, str(error))
-
-    episode = wind(winding, guarded if solve else None, on_step=lambda _: tell(None, ours=True))
+    tell({"version": get_method(job.method).version}, ours=True)
+    driver = _Driver(_guarded(job), tell)
+    episode = wind(winding, driver, on_step=lambda _: tell(None, ours=True))
     tell(None, ours=True)
     figures = asdict(measure(episode))
     tell(None, ours=True)
-    outcome = {"outcome": episode.outcome.name, "message": episode.message, "failure": failure}
+    outcome = {"outcome": episode.outcome.name, "message": episode.message, "failure": driver.failure}
     tell({**figures, **outcome, "episode": episode_bytes(episode)})
 
 
 def failed(item: Sampled, failure: str | None, message: str) -> Record:
     """Return the record of a problem to which there is no answer."""
     return {**blank(item), "status": NOT_FOUND, "message": message, "found": False, "failure": failure}
-
-
-def version_of(solver: str) -> str:
-    """Return the version of what a row names as its solver."""
-    if solver == CLOSED_FORM:
-        return ""
-    if solver == WITNESS:
-        return version("cvxpy")
-    if solver in MINK_ROWS:
-        return f"{version('mink')} / {get_backend(MINK_ROWS[solver]).version}"
-    return get_backend(solver, 0.01).version
 
 
 def episode_bytes(episode: Episode) -> bytes:
@@ -143,30 +121,15 @@ def episode_of(content: bytes) -> Episode:
         return Episode.load(file.name)
 
 
-def _solver(settings: ComparisonSettings, job: Job, winding: WindingSettings) -> Solve:
-    if job.solver in MINK_ROWS:
-        return MinkSolver(winding, MINK_ROWS[job.solver])
-    if job.solver == WITNESS:
-        return functools.partial(_witness, settings.rank_tolerance)
+def _guarded(job: Job) -> Method:
+    """Return the method of a job; its errors, and answers that are none, are `BadAnswerError`."""
     # Of a replayed step the solver's own answer is judged, which its refinement is part of; a driven one is polished in any
     # case, so that slow solvers go without.
     accuracy = ACCURACY if job.accuracy is None else job.accuracy
-    backend = _Guard(get_backend(job.solver, accuracy, refine=job.kind == "replay" or job.solver not in SLOW))
-    options = settings.options(job.formulation, accuracy)
-    return lambda problem, _: joint_step(problem, backend, options)
-
-
-def _witness(rank_tolerance: float, problem: IKProblem, q: Array) -> JointStep:
-    del q
-    started = time.perf_counter()
-    try:
-        dtheta = witness_step(Hierarchy(problem, rank_tolerance).cut_problem, WITNESS_SOLVER)
-    except WitnessError as error:
-        return JointStep(None, StepStatus.NOT_FOUND, str(error))
-    timings = Timings(build=0.0, solve=time.perf_counter() - started)
-    certificate = certify(problem, dtheta, rank_tolerance)
-    status = StepStatus.SOLVED if certificate.holds else StepStatus.UNCERTIFIED
-    return JointStep(dtheta, status, violation=certificate.violation, timings=timings, certificate=certificate)
+    method = get_method(job.method, accuracy, refine=job.kind == "replay" or job.solver not in SLOW)
+    if isinstance(method, Lexicographic | OneQp):
+        method.backend = _GuardedBackend(method.backend)
+    return _Guarded(method)
 
 
 def _own_certificate(problem: IKProblem, dtheta: Array, rank_tolerance: float) -> Record:
@@ -180,32 +143,81 @@ def _register(factories: Factories) -> None:
         register(name, factory)
 
 
-class _Guard:
+class _Guarded(Method):
+    """A method whose errors, and steps that are none, are `BadAnswerError`."""
+
+    def __init__(self, method: Method) -> None:
+        self._method = method
+        self.name = method.name
+
+    @property
+    def version(self) -> str:
+        """Version of the method."""
+        return self._method.version
+
+    def step(self, problem: IKProblem, options: SolveOptions | None = None, place: Place | None = None) -> JointStep:
+        """See `Method.step`."""
+        return _checked(
+            self.name, lambda: self._method.step(problem, options, place), lambda step: step.dtheta, problem.joint_count
+        )
+
+
+class _Driver(_Guarded):
+    """A method that winds the arm: it tells before each step, and keeps what failed."""
+
+    def __init__(self, method: Method, tell: Tell) -> None:
+        super().__init__(method)
+        self._tell = tell
+        self.failure: str | None = None
+
+    def step(self, problem: IKProblem, options: SolveOptions | None = None, place: Place | None = None) -> JointStep:
+        """See `Method.step`."""
+        self._tell(None)  # the time limit is that of the solver's work on one problem
+        try:
+            return super().step(problem, options, place)
+        except BadAnswerError as error:
+            self.failure = error.failure
+            return JointStep(None, StepStatus.NOT_FOUND, str(error))
+
+
+class _GuardedBackend:
     """A backend whose errors, and answers that are none, are `BadAnswerError`."""
 
-    def __init__(self, backend: AnyBackend) -> None:
+    def __init__(self, backend: Backend) -> None:
         self._backend = backend
         self.name = backend.name
         self.version = backend.version
-        if hasattr(backend, "solve_whole"):
-            self.solve_whole = lambda hierarchy: self._checked(
-                lambda: backend.solve_whole(hierarchy), hierarchy.problem.joint_count
-            )
 
     def solve(self, stage: Stage) -> StageResult:
         """See `Backend.solve`."""
-        return self._checked(lambda: self._backend.solve(stage), stage.size)  # type: ignore[union-attr]
+        return self._checked(lambda: self._backend.solve(stage), stage)
 
-    def _checked(self, call: Callable[[], StageResult], size: int) -> StageResult:
-        try:
-            result = call()
-            x = None if result.x is None else np.asarray(result.x, dtype=float)
-        except MemoryError as error:
-            raise BadAnswerError(MEMORY, f"{self.name} took more memory than it may") from error
-        except Exception as error:  # a backend never raises for a failure; one that does is not to stop the others
-            raise BadAnswerError(ERROR, f"{self.name} raised {type(error).__name__}: {error}") from error
-        if x is not None and x.shape != (size,):
-            raise BadAnswerError(ERROR, f"{self.name} returned shape {x.shape}; expected ({size},)")
-        if x is not None and not np.isfinite(x).all():
-            raise BadAnswerError(NAN, f"{self.name} returned values that are not finite")
-        return result
+    def solve_once(self, stage: Stage) -> StageResult:
+        """See `Backend.solve_once`."""
+        return self._checked(lambda: self._backend.solve_once(stage), stage)
+
+    def _checked(self, call: Callable[[], StageResult], stage: Stage) -> StageResult:
+        return _checked(self.name, call, lambda result: result.x, stage.size)
+
+
+def _checked(name: str, call: Callable[[], Found], answer: Callable[[Found], Array | None], size: int) -> Found:
+    """Return what a call returns, if its answer is none or `(size,)` finite numbers.
+
+    Raises:
+        BadAnswerError: it is not, or the call raised.
+    """
+    try:
+        result = call()
+        found = answer(result)
+        x = None if found is None else np.asarray(found, dtype=float)
+    except BadAnswerError:
+        raise
+    except MemoryError as error:
+        raise BadAnswerError(MEMORY, f"{name} took more memory than it may") from error
+    except Exception as error:  # a solver never raises for a failure; one that does is not to stop the others
+        raise BadAnswerError(ERROR, f"{name} raised {type(error).__name__}: {error}") from error
+    if x is not None and x.shape != (size,):
+        raise BadAnswerError(ERROR, f"{name} returned shape {x.shape}; expected ({size},)")
+    if x is not None and not np.isfinite(x).all():
+        raise BadAnswerError(NAN, f"{name} returned values that are not finite")
+    return result

@@ -10,10 +10,10 @@ from paper_repro.figure import COLOURS, DASHES, MARKERS, new_figure
 from paper_repro.jobs import Job, Results
 from paper_repro.replays import recorded, relative, sampled, windings
 from prioritized_ik.models import update_kinematics
-from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import strict_solution
-from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.validation import Array
 from prioritized_ik.virtual_arms import VirtualArms
@@ -81,11 +81,11 @@ def disagreement(winding: str, steps: int) -> dict[str, list[list[Any]]]:
     found: dict[str, list[list[Any]]] = {"apart": [], "certified": []}
     for tolerance in DECADES:
         options = SolveOptions(rank_tolerance=tolerance, closed_form_first=False)
-        backends = [get_backend(name) for name in SOLVERS]
+        methods = [get_method(name) for name in SOLVERS]
         apart: list[float | None] = []
         certified = []
         for posed in sampled(winding, steps)[::SHARE]:
-            answers = [joint_step(posed.item.problem, backend, options) for backend in backends]
+            answers = [method.step(posed.item.problem, options) for method in methods]
             raw = [answer.raw for answer in answers if answer.raw is not None and answer.found]
             apart.append(max(relative(own, np.median(raw, axis=0)) for own in raw) if len(raw) == len(SOLVERS) else None)
             certified.append(sum(answer.status is StepStatus.SOLVED for answer in answers))

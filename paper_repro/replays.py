@@ -11,7 +11,7 @@ mink, which builds its own.
 import functools
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,21 +21,20 @@ import qpsolvers
 
 from comparisons.cases import cases_of
 from comparisons.judging import judge
-from comparisons.mink_today import MinkSolver
+from comparisons.methods import MINK as MINK_FAMILY
 from comparisons.sample import Sampled, sample
-from comparisons.settings import RECORDER, ComparisonSettings
+from comparisons.settings import ONE_QP, RECORDER, ComparisonSettings
 from paper_repro.artefact import Scale
 from paper_repro.jobs import Job, Results
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.solvers.backends.protocol import Backend, StageResult
-from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
 from prioritized_ik.solvers.backends.registry import get_backend, installed_solvers
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.lexicographic import ONE_QP, SolveOptions, joint_step
-from prioritized_ik.solvers.stages import Stage
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.methods import Damped, Method, Place
+from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.validation import Array
-from prioritized_ik.winding.episode import Episode, Solve, wind
+from prioritized_ik.winding.episode import Episode, wind
 from prioritized_ik.winding.settings import WindingSettings
 
 
@@ -63,10 +62,13 @@ class Formulation:
         return " ".join(words)
 
 
+#: From a problem, and the joint positions where it was posed, to a step.
+Solve = Callable[[IKProblem, Array], JointStep]
+
 BEGINNING = 40  # steps of a winding that the reduced run records
 
 LEXICOGRAPHIC = Formulation("lexicographic")
-MINK = Formulation("mink")
+MINK = Formulation(MINK_FAMILY)
 DAMPED = Formulation("damped", 1e-12)  # mink's and pink's default
 
 #: Everything that is compared, in the order of the tables.
@@ -177,27 +179,15 @@ def sampled(winding: str, steps: int) -> tuple[Posed, ...]:
 
 def solver_of(solver: str, formulation: Formulation, winding: str) -> Solve:
     """Return what solves the problems of a recorded winding."""
-    if formulation.name == "mink":
-        return MinkSolver(recorded(winding).settings, solver)
     damping = formulation.damping if formulation.name in ONE_QP else None
-    options = SolveOptions(formulation.name, rank_tolerance=RANK_TOLERANCE, damping=damping, closed_form_first=False)
-    backend = get_backend(solver)
+    options = SolveOptions(rank_tolerance=RANK_TOLERANCE, damping=damping, closed_form_first=False)
+    method: Method
     if formulation.accurate:
-        assert isinstance(backend, QpsolversBackend)  # the others have only the lexicographic formulation
-        backend = Accurate(backend)
-    return lambda problem, _: joint_step(problem, backend, options)
-
-
-class Accurate:
-    """A backend that solves also those stages accurately which are to be solved as they stand."""
-
-    def __init__(self, backend: Backend) -> None:
-        self._backend = backend
-        self.name, self.version = backend.name, backend.version
-
-    def solve(self, stage: Stage) -> StageResult:
-        """See `Backend.solve`."""
-        return self._backend.solve(replace(stage, as_it_stands=False))
+        method = Damped(get_backend(solver), accurate=True)
+    else:
+        method = get_method(f"{formulation.name}:{solver}")
+    settings = recorded(winding).settings
+    return lambda problem, q: method.step(problem, options, Place(q, settings))
 
 
 @contextmanager

@@ -11,7 +11,6 @@ from paper_repro.jobs import Job
 from paper_repro.windings import settings
 from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.problem import IKProblem, Level
-from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.closed_form import (
     RANK_TOLERANCE,
     minimum_norm_solution,
@@ -19,7 +18,8 @@ from prioritized_ik.solvers.closed_form import (
     weighted_optimum,
 )
 from prioritized_ik.solvers.hierarchy import strict_solution
-from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.validation import Array
 from prioritized_ik.virtual_arms import VirtualArms
 from prioritized_ik.winding.controller import WindingController
@@ -104,7 +104,7 @@ def row_norms(weights: str) -> dict[str, float]:
     problem = IKProblem(_problem(posture="random", weights=weights).levels)
     truth = strict_solution(problem.levels, problem.reference)
     options = SolveOptions(rank_tolerance=RANK_TOLERANCE, closed_form_first=False, polish=False)
-    ours = joint_step(problem, get_backend("daqp-hierarchy"), options).dtheta
+    ours = get_method("daqp-hierarchy").step(problem, options).dtheta
     raw = _daqp_as_is(problem)
     found = {"raw": _error(raw, truth), "adapter": math.nan if ours is None else _error(ours, truth)}
     if len(problem.levels) == 1:

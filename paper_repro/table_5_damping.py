@@ -12,10 +12,10 @@ from paper_repro.jobs import Job, Results
 from paper_repro.replays import median, relative, sampled, windings
 from paper_repro.table import Cell, Column, Table
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.solvers.backends.protocol import Backend
-from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.methods import OneQp
+from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.validation import Array
 
 DAMPINGS = tuple(10.0**power for power in range(-16, -1))
@@ -50,8 +50,9 @@ def by_orthogonal_factors(problem: IKProblem, damping: float) -> Array | None:
 
 def by_qp(formulation: str, problem: IKProblem, damping: float) -> Array | None:
     """The same `(m,)` as one QP with all rows, as it stands; None if the solver fails."""
-    stage = first_stage(problem, SolveOptions(formulation, rank_tolerance=RANK_TOLERANCE, damping=damping))
-    x = cast(Backend, get_backend(SOLVER)).solve(stage).x
+    method = cast(OneQp, get_method(f"{formulation}:{SOLVER}"))
+    stage = method.stage(problem, SolveOptions(damping=damping))
+    x = method.backend.solve_once(stage).x
     return None if x is None else stage.dtheta(x)
 
 

@@ -9,14 +9,24 @@ from comparisons.origin import cpu_model
 from comparisons.settings import MINK_SOLVERS
 from paper_repro.artefact import Artefact, Scale
 from paper_repro.jobs import Job, Results
-from paper_repro.replays import DAMPED, LEXICOGRAPHIC, MINK, Formulation, recorded, silent, solver_of, solvers, windings
+from paper_repro.replays import (
+    DAMPED,
+    LEXICOGRAPHIC,
+    MINK,
+    Formulation,
+    Solve,
+    recorded,
+    silent,
+    solver_of,
+    solvers,
+    windings,
+)
 from paper_repro.table import Cell, Column, Table
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.validation import Array
-from prioritized_ik.winding.episode import Solve
 
 REPEATS, QUICK_REPEATS = 3, 1  # of everything, one after the other, so that a slow minute does not hit one backend alone
 STRETCH = 0.4  # of the sampled steps, which is what 90 s allow

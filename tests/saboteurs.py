@@ -8,11 +8,12 @@ from functools import partial
 
 import numpy as np
 
-from prioritized_ik.solvers.backends import registry
+from prioritized_ik.solvers import registry
 from prioritized_ik.solvers.backends.protocol import StageResult
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
 from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
+from prioritized_ik.solvers.lexicographic import Clock, fold
+from prioritized_ik.solvers.methods import Guessing, Lexicographic
 from prioritized_ik.solvers.stages import Stage
 
 OFF = 1e-5  # [rad] of the last joint
@@ -86,6 +87,8 @@ class Saboteur:
             return off(stage, self._honest)
         return self._habit(stage) or self._honest.solve(stage)
 
+    solve_once = solve
+
 
 class Grave:
     """Answers as DAQP does, and crashes once nobody needs it any more, as a library with a broken destructor would."""
@@ -101,13 +104,15 @@ class Grave:
         self._used = True
         return self._honest.solve(stage)
 
+    solve_once = solve
+
     def __del__(self) -> None:
         if self._used:
             os.kill(os.getpid(), signal.SIGSEGV)
 
 
-class Wrong:
-    """A solver of hierarchies whose last joint is off on one step in a hundred, from number `first` on."""
+class Wrong(Guessing):
+    """A method whose guess is off in the last joint on one step in a hundred, from number `first` on."""
 
     version = "0"
     calls = 0  # of all there are: a cold start makes a new one for each problem
@@ -117,17 +122,20 @@ class Wrong:
         self._first = first
         self._honest = QpsolversBackend("daqp", accuracy)
 
-    def solve_whole(self, hierarchy: Hierarchy) -> StageResult:
+    def guess(self, hierarchy: Hierarchy, clock: Clock) -> np.ndarray | str:
         Wrong.calls += 1
-        options = SolveOptions(rank_tolerance=hierarchy.rank_tolerance, closed_form_first=False, polish=False)
-        dtheta = np.array(joint_step(hierarchy.problem, self._honest, options).dtheta)
+        u = np.array(fold(self._honest, hierarchy, clock))
         if (Wrong.calls - 1) % ONE_IN == self._first:
-            dtheta[-1] += OFF
-        return StageResult(dtheta)
+            u[-1] += OFF
+        return u
+
+
+def made(kind: type, name: str, accuracy: float) -> Lexicographic:
+    return Lexicographic(kind(name, accuracy))
 
 
 def register_all() -> None:
     for habit in HABITS:
-        registry.register(habit, partial(Saboteur, habit))
-    registry.register("grave", partial(Grave, "grave"))
+        registry.register(habit, partial(made, Saboteur, habit))
+    registry.register("grave", partial(made, Grave, "grave"))
     registry.register("wrong", partial(Wrong, "wrong", ONE_IN // 2))

@@ -16,7 +16,7 @@ from prioritized_ik.solvers.active_set import Active, Solution, face_solution, g
 from prioritized_ik.solvers.certificate import Proof, certify
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
-from prioritized_ik.solvers.lexicographic import get_solver, joint_step
+from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.stagewise import stagewise
 from prioritized_ik.tolerances import CERTIFIED, GUESS, UNDECIDED
 
@@ -229,7 +229,7 @@ def test_whatever_the_start_the_method_ends_at_the_optimum_or_hands_it_back(seed
 def test_recorded_steps_are_found_again_to_the_same_bits_from_answers_off_by_a_millionth():
     for problem in (*free_steps(), *constrained_steps()):
         hierarchy = Hierarchy(problem, RANK_TOLERANCE)
-        wanted = hierarchy.problem.to_metric(joint_step(problem, get_solver("active-set"), AS_RECORDED).dtheta)
+        wanted = hierarchy.problem.to_metric(get_method("active-set").step(problem, AS_RECORDED).dtheta)
         noise = np.random.default_rng(0).normal(size=problem.joint_count)
         found = from_answer(hierarchy, wanted + GUESS * np.linalg.norm(wanted) * noise / np.linalg.norm(noise))
         assert holds(found)

@@ -10,11 +10,12 @@ from winding_fixtures import constrained_steps, free_steps
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
-from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.certificate import Certificate, Proof, certify
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step, solve
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.registry import get_method
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.tolerances import CERTIFIED, FLOOR, GAP, UNDECIDED
 
 CUT = 1e-7  # the planted problems' rank tolerance
@@ -560,7 +561,7 @@ def test_a_certificate_does_not_depend_on_which_solver_made_the_step(seed):
         options = SolveOptions(rank_tolerance=CUT, closed_form_first=False, polish=polish)
         certificates = set()
         for solver in ("daqp", "proxqp", "clarabel"):
-            step = joint_step(known.problem, get_backend(solver), options)
+            step = get_method(solver).step(known.problem, options)
             assert step.certificate == certify(known.problem, step.dtheta, CUT)
             certificates.add(step.certificate)
         assert len(certificates) == 1 or not polish

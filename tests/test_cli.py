@@ -99,7 +99,7 @@ def test_wind_ends_with_one_when_the_arm_is_not_wound() -> None:
         (["wind", "--weights", "eq25"], "unknown weights 'eq25'; choose one of: eq23, eq24, strict"),
         (["wind", "--weights", "strict", "--formulation", "damped"], "takes one level, not 3; use 'lexicographic'"),
         (["wind", "--shape", "torus"], "unknown shape 'torus'"),
-        (["wind", "--formulation", "magic"], "unknown formulation 'magic'"),
+        (["wind", "--formulation", "magic"], "unknown formulation 'magic'; choose one of: lexicographic, damped, slack"),
         (["wind", "--save", "/no/such/folder/e.npz"], "cannot write into '/no/such/folder'"),
         (["wind", "--record", "arm.bmp"], "unknown kind of picture '.bmp'; choose one of: .png, .gif"),
         (["compare", "--solvers", "daqp,nosuch"], "unknown solver 'nosuch'"),
@@ -170,7 +170,7 @@ def test_compare_writes_the_json_that_it_promises(compared: tuple[Path, Result])
     assert all(set(ROW) <= set(row) for row in content["rows"])
     found = {(row["solver"], row["formulation"]) for row in content["rows"]}
     expected = {(solver, kind) for solver in ("daqp", "quadprog") for kind in ("lexicographic", "damped")}
-    assert found == expected | {("closed-form", "closed form"), ("mink (daqp)", "mink"), ("mink (proxqp)", "mink")}
+    assert found == expected | {("closed-form", "closed form"), ("mink:daqp", "mink"), ("mink:proxqp", "mink")}
     for row in content["rows"]:
         if row["formulation"] == "lexicographic":
             assert row["free_dtheta_error_max"] <= 1e-6
@@ -197,7 +197,7 @@ def test_compare_writes_parquet_markdown_report_and_episodes(compared: tuple[Pat
     assert len(steps) == 2 * 10 * (2 * 2 + 2)
     assert steps["cpu"].null_count() == steps["revision"].null_count() == steps["settings"].null_count() == 0
     episodes = polars.read_parquet(out / "episodes.parquet")
-    assert set(episodes["solver"]) == {"daqp", "quadprog", "closed-form", "mink (daqp)", "mink (proxqp)"}
+    assert set(episodes["solver"]) == {"daqp", "quadprog", "closed-form", "mink:daqp", "mink:proxqp"}
     for file, steps_there in zip(episodes["file"], episodes["steps"], strict=True):
         assert Episode.load(out / file).steps == steps_there
     assert (out / "table.md").read_text(encoding="utf-8").startswith("| solver")

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from comparisons import worker
 from comparisons.cases import Case, cases_of
 from comparisons.jobs import COLD, MINK_ROWS, WARM, Job, drives, replays
-from comparisons.mink_today import MinkSolver
+from comparisons.mink_today import MinkBench
 from comparisons.run import RunError, _Run, made_by, run
 from comparisons.sample import chosen, free_steps, sampled
 from comparisons.settings import ComparisonSettings
@@ -27,8 +27,10 @@ from comparisons.summary import Row, summarise
 from comparisons.tables import COMPARED, EPISODES, JOB, STEPS
 from prioritized_ik.cli import main
 from prioritized_ik.errors import InputError
-from prioritized_ik.solvers.backends import registry
+from prioritized_ik.solvers import registry
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
+from prioritized_ik.solvers.methods import Place
+from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.tolerances import FREE
 from prioritized_ik.winding.episode import Episode, wind
 from prioritized_ik.winding.settings import WindingSettings
@@ -39,7 +41,7 @@ SMALL = {"directions": ("up",), "link": (LINK,), "repeats": 1, "mink": False, "d
 
 @pytest.fixture
 def sabotage(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "_factories", {})
+    monkeypatch.setattr(registry, "_added", {})
     saboteurs.register_all()
 
 
@@ -211,16 +213,16 @@ def test_our_own_work_on_an_episode_is_not_on_a_solvers_time(folder: Path, monke
 def test_a_backend_that_cannot_be_sent_to_another_process_is_refused(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(registry, "_factories", {})
-    registry.register("local", lambda accuracy: saboteurs.Saboteur("nan", accuracy))
-    with pytest.raises(InputError, match="backend 'local' cannot be sent to a process of its own"):
+    monkeypatch.setattr(registry, "_added", {})
+    registry.register("local", lambda accuracy: saboteurs.made(saboteurs.Saboteur, "nan", accuracy))
+    with pytest.raises(InputError, match="method 'local' cannot be sent to a process of its own"):
         compared(tmp_path, folder, "local")
 
 
 def test_a_plugin_brings_backends_of_ones_own_and_strict_names_the_one_that_fails(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(registry, "_factories", {})
+    monkeypatch.setattr(registry, "_added", {})
     monkeypatch.delitem(sys.modules, "saboteur_plugin", raising=False)
     arguments = ["compare", "--plugin", "saboteur_plugin", "--solvers", "daqp,nan", "--recorded", str(folder)]
     few = ["--steps", "3", "--repeats", "1", "--no-drive", "--no-mink", "--formulation", "lexicographic"]
@@ -297,19 +299,19 @@ def test_mink_is_given_the_same_problem() -> None:
     # Far from singular and with nothing binding, mink's damping does no harm: both take the same step.
     settings = WindingSettings(posture="random", seed=3, max_steps=1, weights="eq24", speed=0.02)
     episode = wind(settings)
-    step = MinkSolver(settings, "quadprog")(episode.problem(0), episode.q[0])
+    step = get_method("mink:quadprog").step(episode.problem(0), place=Place(episode.q[0], settings))
     dx = episode.jacobian[0] @ step.dtheta
     assert np.linalg.norm(dx - episode.jacobian[0] @ episode.dtheta[0]) <= 1e-6 * np.linalg.norm(dx)
 
 
 def test_minks_limits_bind_where_ours_do(folder: Path) -> None:
     episode = Episode.load(folder / "up.npz")
-    solver = MinkSolver(episode.settings, "daqp")
+    bench = MinkBench(episode.settings)
     for number in range(0, episode.steps, 10):
         problem = episode.problem(number)
-        solver(problem, episode.q[number])
+        bench.solve(problem, episode.q[number], "daqp")
         ours = {tuple(np.round(row, 9)): side for row, side in zip(problem.rows.matrix, problem.rows.upper, strict=True)}
-        g, h = solver._limits[2].compute_qp_inequalities(solver._configuration, episode.settings.dt)
+        g, h = bench.limits[2].compute_qp_inequalities(bench.configuration, episode.settings.dt)
         theirs = {tuple(np.round(row, 9)): side for row, side in zip(g, h, strict=True) if math.isfinite(side)}
         assert len(theirs) == len(ours)
         for mine, other in zip(sorted(ours.items()), sorted(theirs.items()), strict=True):

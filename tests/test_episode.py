@@ -3,11 +3,10 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from winding_fixtures import AS_RECORDED, recorded, short_episode
+from winding_fixtures import AS_RECORDED, By, recorded, short_episode
 
 from prioritized_ik.errors import EpisodeFileError, InputError, SolverUnavailableError
-from prioritized_ik.solvers.backends.registry import get_backend
-from prioritized_ik.solvers.lexicographic import joint_step
+from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.winding.episode import FORMAT, Episode, Outcome, replay, wind
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
@@ -48,9 +47,9 @@ def test_a_replay_with_other_settings_differs():
 
 def test_every_problem_of_a_loaded_episode_solves_to_the_recorded_bits(saved):
     loaded = Episode.load(saved)
-    backend = get_backend("daqp")
+    backend = get_method("daqp")
     for step, problem in enumerate(loaded.problems()):
-        assert joint_step(problem, backend, AS_RECORDED).dtheta.tobytes() == loaded.dtheta[step].tobytes()
+        assert backend.step(problem, AS_RECORDED).dtheta.tobytes() == loaded.dtheta[step].tobytes()
 
 
 def test_the_steps_add_up_to_the_joint_positions():
@@ -260,15 +259,15 @@ def test_a_short_episode_is_the_beginning_of_the_long_one():
 
 def fails_at(step: int):
     """A solve that finds five steps and then none."""
-    backend, posed = get_backend("daqp"), []
+    backend, posed = get_method("daqp"), []
 
     def solve(problem, q):
         posed.append(q)
         if len(posed) > step:
             return JointStep(None, StepStatus.NOT_FOUND, "gave in")
-        return joint_step(problem, backend, AS_RECORDED)
+        return backend.step(problem, AS_RECORDED)
 
-    return solve
+    return By(solve)
 
 
 def test_a_failed_solve_stops_the_arm_where_it_is():
@@ -293,13 +292,13 @@ def test_a_failed_solve_keeps_the_solvers_words(tmp_path):
 
 def test_the_solve_is_told_where_the_arm_is():
     seen = []
-    backend = get_backend("daqp")
+    backend = get_method("daqp")
 
     def solve(problem, q):
         seen.append(q.tobytes())
-        return joint_step(problem, backend, AS_RECORDED)
+        return backend.step(problem, AS_RECORDED)
 
-    episode = wind(WindingSettings(max_steps=4), solve)
+    episode = wind(WindingSettings(max_steps=4), By(solve))
     assert seen == [q.tobytes() for q in episode.q[:-1]]
 
 

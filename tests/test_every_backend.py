@@ -15,7 +15,9 @@ from prioritized_ik.solvers.backends.abilities import ABILITIES, abilities_of
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
 from prioritized_ik.solvers.backends.registry import get_backend, installed_solvers, known_solvers
 from prioritized_ik.solvers.hierarchy import strict_solution
-from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage, joint_step, solve
+from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage
+from prioritized_ik.solvers.registry import get_method
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import JointStep, StepStatus
 
 TEN = ["clarabel", "cvxopt", "daqp", "highs", "osqp", "piqp", "proxqp", "qpalm", "quadprog", "scs"]
@@ -31,8 +33,8 @@ Problems = tuple[IKProblem, ...]
 
 
 def steps_of(name: str, problems: Problems) -> list[JointStep]:
-    backend = get_backend(name)
-    return [joint_step(problem, backend, AS_RECORDED) for problem in problems]
+    backend = get_method(name)
+    return [backend.step(problem, AS_RECORDED) for problem in problems]
 
 
 @cache
@@ -167,7 +169,7 @@ def test_the_certified_steps_of_a_solver_that_is_off_by_a_hundred_thousandth_are
 
 
 def assert_solved(problem: IKProblem, name: str, wanted: list[float]) -> None:
-    step = solve(problem, get_backend(name), QP_ONLY)  # a backend given as such refines its answer
+    step = solve(problem, get_method(name), QP_ONLY)  # a backend given as such refines its answer
     assert step.dtheta == pytest.approx(wanted, abs=ROUNDING)
     assert step.raw == pytest.approx(wanted, abs=1e-6)
     assert (step.dtheta == solve(problem, "daqp", QP_ONLY).dtheta).all()
@@ -210,7 +212,7 @@ def test_a_soft_level_between_two_others_is_solved(name):
 @pytest.mark.parametrize("name", ELEVEN)
 def test_rows_without_a_common_point_are_a_failure_and_not_a_step(name):
     problem = IKProblem([Level([[1.0, 0.0]], [5.0])], rows=Rows([[1.0, 0.0], [-1.0, 0.0]], [-1.0, -1.0]))
-    step = joint_step(problem, get_backend(name), SolveOptions())
+    step = get_method(name).step(problem, SolveOptions())
     assert step.dtheta is None
     assert step.status in (StepStatus.NOT_FOUND, StepStatus.VIOLATED, StepStatus.INFEASIBLE)
 
@@ -382,7 +384,7 @@ def test_a_solver_that_fails_at_the_accuracy_asked_is_tried_once_more_at_a_loose
     assert (result.message, result.calls) == ("", len(asked))
 
 
-def test_the_damped_qp_is_solved_once_as_it_stands_with_default_options(monkeypatch):
+def test_the_damped_qp_is_solved_once_with_default_options(monkeypatch):
     exact, seen = qpsolvers_.qpsolvers.solve_problem, []
 
     def watched(problem, solver, **options):
@@ -390,15 +392,15 @@ def test_the_damped_qp_is_solved_once_as_it_stands_with_default_options(monkeypa
         return exact(problem, solver, **options)
 
     monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", watched)
-    stage = first_stage(constrained_steps()[0], SolveOptions("damped"))
-    assert QpsolversBackend("proxqp", 1e-8).solve(stage).calls == 1
+    stage = get_method("damped:proxqp").stage(constrained_steps()[0])
+    assert QpsolversBackend("proxqp", 1e-8).solve_once(stage).calls == 1
     assert seen == [(stage.problem, {})]
 
 
 def test_a_damped_qp_that_fails_is_not_tried_again(monkeypatch):
     monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", Answers(None, found=False))
-    stage = first_stage(constrained_steps()[0], SolveOptions("damped"))
-    assert QpsolversBackend("proxqp", 1e-8).solve(stage).calls == 1
+    stage = get_method("damped:proxqp").stage(constrained_steps()[0])
+    assert QpsolversBackend("proxqp", 1e-8).solve_once(stage).calls == 1
 
 
 @pytest.mark.parametrize(("name", "accuracy"), [("highs", 1e-9), ("clarabel", 1e-13), ("daqp-warm", 1e-15)])

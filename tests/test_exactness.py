@@ -10,7 +10,6 @@ from tolerances import ORACLE, ROUNDING
 from winding_fixtures import AS_RECORDED, QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
-from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.certificate import certify
 from prioritized_ik.solvers.closed_form import (
     RANK_TOLERANCE,
@@ -19,7 +18,9 @@ from prioritized_ik.solvers.closed_form import (
     rank_decomposition_svd,
     weighted_optimum,
 )
-from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step, solve
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.registry import get_method
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import StepStatus
 
 BOTH_WAYS = {"closed form first": SolveOptions(), "by the QP": QP_ONLY}
@@ -291,7 +292,7 @@ def test_the_optimum_of_the_levels_in_another_order_is_not_certified(seed, famil
         swapped = (*levels[:i], levels[i + 1], levels[i], *levels[i + 2 :])
         problem = known.problem
         other = IKProblem(swapped, problem.bounds, problem.rows, problem.reference, problem.equalities)
-        step = joint_step(other, get_backend("daqp"), QP_ONLY)
+        step = get_method("daqp").step(other, QP_ONLY)
         if step.status is StepStatus.SOLVED and error(step.dtheta, known.dtheta) > ELSEWHERE:
             assert not certify(problem, step.dtheta).holds
 

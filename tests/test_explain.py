@@ -10,10 +10,11 @@ from winding_fixtures import constrained_steps
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
-from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.explain import Concession, explain
-from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step, solve
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.registry import get_method
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import JointStep, StepStatus
 
 CUT_AS_RECORDED = SolveOptions(rank_tolerance=RANK_TOLERANCE)
@@ -228,7 +229,7 @@ def test_softened_rows_concede_first():
 def test_errors_are_those_of_smaller_problems(seed):
     known = random_hierarchy(seed, joints=(2, 20), levels=(1, 4))
     problem = known.problem
-    step = joint_step(problem, get_backend("daqp"), PLANTED)
+    step = get_method("daqp").step(problem, PLANTED)
     found = explain(problem, step, PLANTED)
     assert [one.level for one in found] == [level.name for level in problem.levels]
     assert [one.error for one in found] == pytest.approx([np.sqrt(cost) for cost in step.costs], rel=ROUNDING)

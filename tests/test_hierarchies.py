@@ -30,9 +30,8 @@ from winding_fixtures import QP_ONLY
 
 from prioritized_ik.errors import WitnessError
 from prioritized_ik.problem import IKProblem, Level
-from prioritized_ik.solvers.backends.protocol import AnyBackend
-from prioritized_ik.solvers.backends.registry import get_backend
-from prioritized_ik.solvers.lexicographic import joint_step
+from prioritized_ik.solvers.methods import Method
+from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.solvers.witness import witness_step
 from prioritized_ik.tolerances import CERTIFIED, GAP, UNDECIDED
@@ -204,7 +203,7 @@ def certified(step: JointStep) -> bool:
 
 
 def assert_planted(known: KnownHierarchy, solver: str) -> None:
-    step = joint_step(known.problem, get_backend(solver), QP_ONLY)
+    step = get_method(solver).step(known.problem, QP_ONLY)
     if certified(step):
         assert error_of(step.dtheta, known) <= AGREES
 
@@ -239,7 +238,7 @@ def first_worse(problem: IKProblem, found: np.ndarray, other: np.ndarray) -> str
 @given(unplanned)
 def test_a_certified_step_is_at_no_level_worse_than_the_witness(made):
     problem, _ = made
-    step, witness = joint_step(problem, get_backend("daqp"), QP_ONLY), witnessed(problem)
+    step, witness = get_method("daqp").step(problem, QP_ONLY), witnessed(problem)
     if certified(step) and witness is not None:
         assert first_worse(problem, step.dtheta, witness) is None
 
@@ -263,11 +262,11 @@ class Tally:
     errors: list[float] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
 
-    def solve(self, seed: int, problem: IKProblem, backend: AnyBackend) -> JointStep | None:
+    def solve(self, seed: int, problem: IKProblem, backend: Method) -> JointStep | None:
         """Return the step if it is certified."""
         started = time.perf_counter()
         try:
-            step = joint_step(problem, backend, QP_ONLY)
+            step = backend.step(problem, QP_ONLY)
         except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
             error.add_note(f"with {backend.name}, seed {seed}")
             raise
@@ -301,7 +300,7 @@ class Tally:
 
 @pytest.mark.parametrize(("solver", "part", "least"), CAMPAIGNS)
 def test_campaign_of_planted_problems(solver, part, least, request, capsys):
-    tally, backend = Tally(), get_backend(solver)
+    tally, backend = Tally(), get_method(solver)
     for seed in range(-(-request.config.getoption("--campaign") // part)):
         known = random_hierarchy(seed)
         step = tally.solve(seed, known.problem, backend)
@@ -317,7 +316,7 @@ def test_campaign_of_planted_problems(solver, part, least, request, capsys):
 
 
 def test_campaign_of_unplanned_problems(request, capsys):
-    tally, backend, witnesses = Tally(), get_backend("daqp"), 0
+    tally, backend, witnesses = Tally(), get_method("daqp"), 0
     for seed in range(-(-request.config.getoption("--campaign") // 8)):
         problem, _ = unplanned_hierarchy(seed)
         step, witness = tally.solve(seed, problem, backend), witnessed(problem)

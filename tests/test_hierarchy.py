@@ -14,7 +14,7 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.closed_form import general_solution, rank_decomposition_svd, weighted_optimum
 from prioritized_ik.solvers.hierarchy import AMPLE, HARD, EqualBlock, Hierarchy, SoftBlock, strict_solution
-from prioritized_ik.solvers.lexicographic import solve
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.tolerances import DEPENDENT, FLOOR, NOISE
 from prioritized_ik.weights import FREE

@@ -18,8 +18,8 @@ from tolerances import ROUNDING
 from units import physical, reposed
 
 from prioritized_ik.problem import IKProblem, Level
-from prioritized_ik.solvers.backends.registry import get_backend
-from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.step import JointStep, StepStatus
 
 CAMPAIGN = "PRIORITIZED_IK_CAMPAIGN"
@@ -76,7 +76,7 @@ def sample() -> range:
 
 
 def solved(problem: IKProblem) -> JointStep:
-    return joint_step(problem, get_backend("daqp"), SolveOptions())
+    return get_method("daqp").step(problem, SolveOptions())
 
 
 @cache

@@ -9,13 +9,16 @@ from winding_fixtures import AS_RECORDED, QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.errors import InputError, StepNotFoundError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
-from prioritized_ik.solvers.backends import registry
+from prioritized_ik.solvers import registry
 from prioritized_ik.solvers.backends.protocol import StageResult
 from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.certificate import certify
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import Hierarchy, strict_solution
-from prioritized_ik.solvers.lexicographic import SolveOptions, get_solver, joint_step, solve
+from prioritized_ik.solvers.lexicographic import Clock, SolveOptions
+from prioritized_ik.solvers.methods import Guessing, Lexicographic
+from prioritized_ik.solvers.registry import get_method
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.tolerances import ACCEPTED_VIOLATION
@@ -62,7 +65,7 @@ def error(found: np.ndarray, truth: np.ndarray) -> float:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_problem_built_backwards_from_its_optimum_is_solved(seed, solver):
     problem, optimum = built_backwards(seed)
-    step = solve(problem, get_backend(solver), QP_ONLY)
+    step = solve(problem, get_method(solver), QP_ONLY)
     assert step.status is StepStatus.SOLVED
     assert step.certificate.holds
     assert error(step.dtheta, optimum) <= ROUNDING
@@ -98,7 +101,7 @@ def test_the_step_is_that_of_a_brute_force_search_over_active_rows(seed, levels)
     problem = random_problem(seed, levels)
     optimum = exhausted_optimum(problem)
     for solver in ("proxqp", "daqp"):
-        step = solve(problem, get_backend(solver), QP_ONLY)
+        step = solve(problem, get_method(solver), QP_ONLY)
         assert step.dtheta == pytest.approx(optimum, abs=ROUNDING)
         assert step.raw == pytest.approx(optimum, abs=EXACT)
 
@@ -114,7 +117,7 @@ def test_bounded_least_squares_of_full_rank_is_scipys(seed):
     a, b = rng.normal(size=(8, 5)), 3.0 * rng.normal(size=8)
     lower, upper = -rng.uniform(0.1, 1.0, 5), rng.uniform(0.1, 1.0, 5)
     oracle = scipy.optimize.lsq_linear(a, b, (lower, upper), method="bvls", tol=1e-15).x
-    step = solve(IKProblem([Level(a, b)], Bounds(lower, upper)), get_backend("daqp"), QP_ONLY)
+    step = solve(IKProblem([Level(a, b)], Bounds(lower, upper)), get_method("daqp"), QP_ONLY)
     assert step.dtheta == pytest.approx(oracle, abs=ROUNDING)
     assert step.raw == pytest.approx(oracle, abs=EXACT)
 
@@ -185,7 +188,7 @@ def test_costs_are_those_of_every_level_at_the_step():
 def test_the_damped_formulation_is_the_damped_least_squares_step_where_nothing_binds(seed):
     rng = np.random.default_rng(seed)
     a, b, reference = rng.normal(size=(3, 5)), rng.normal(size=3), rng.normal(size=5)
-    step = solve(IKProblem([Level(a, b)], reference=reference), "daqp", SolveOptions("damped", damping=1e-2))
+    step = solve(IKProblem([Level(a, b)], reference=reference), "damped:daqp", SolveOptions(damping=1e-2))
     wanted = np.linalg.solve(a.T @ a + 1e-2 * np.eye(5), a.T @ b + 1e-2 * reference)
     assert step.dtheta == pytest.approx(wanted, abs=EXACT)
     assert step.calls == 1
@@ -193,7 +196,7 @@ def test_the_damped_formulation_is_the_damped_least_squares_step_where_nothing_b
 
 def test_the_damped_formulation_refuses_a_second_level():
     with pytest.raises(InputError, match="use 'lexicographic'"):
-        solve(random_problem(0, 2), "daqp", SolveOptions("damped"))
+        solve(random_problem(0, 2), "damped:daqp")
 
 
 def test_a_level_that_presses_into_a_corner_leaves_the_thin_direction_fixed():
@@ -225,14 +228,16 @@ class FakeBackend:
     def solve(self, stage: Stage) -> StageResult:
         return self._answer(stage)
 
+    solve_once = solve
+
 
 @pytest.fixture
 def fake(monkeypatch):
-    """Register a backend called "fake" for one test."""
-    monkeypatch.setattr(registry, "_factories", {})
+    """Register a method called "fake" for one test."""
+    monkeypatch.setattr(registry, "_added", {})
 
     def register(answer):
-        registry.register("fake", lambda accuracy: FakeBackend(answer))
+        registry.register("fake", lambda accuracy: Lexicographic(FakeBackend(answer)))
 
     return register
 
@@ -249,24 +254,9 @@ def jump(stage: Stage) -> StageResult:
     return StageResult(np.full(stage.size, 100.0))
 
 
-def test_a_registered_backend_is_known_installed_and_asked(fake):
-    fake(refuse)
-    assert "fake" in registry.known_solvers()
-    assert "fake" in registry.installed_solvers()
-    assert isinstance(get_backend("fake"), FakeBackend)
-
-
-def test_a_registered_backend_is_given_the_accuracy(fake):
-    fake(refuse)
-    seen = []
-    registry.register("fake", seen.append)
-    get_backend("fake", 1e-5)
-    assert seen == [1e-5]
-
-
 def test_an_answer_that_is_not_found_is_a_status_without_a_step(fake):
     fake(refuse)
-    step = joint_step(BOXED, get_backend("fake"), QP_ONLY)
+    step = get_method("fake").step(BOXED, QP_ONLY)
     assert (step.status, step.dtheta, step.found) == (StepStatus.NOT_FOUND, None, False)
     assert step.message == "level 'reach': fake found no solution"
 
@@ -274,12 +264,12 @@ def test_an_answer_that_is_not_found_is_a_status_without_a_step(fake):
 def test_a_failure_of_the_last_level_is_named_so(fake):
     fake(lambda stage: refuse(stage) if stage.costed == stage.size else StageResult(-stage.problem.q))
     problem = IKProblem([Level([[1.0, 0.0]], [0.1])], Bounds([-0.5, -0.5], [0.5, 0.5]))
-    assert joint_step(problem, get_backend("fake"), QP_ONLY).message == "last level: fake found no solution"
+    assert get_method("fake").step(problem, QP_ONLY).message == "last level: fake found no solution"
 
 
 def test_a_step_that_breaks_a_row_is_not_handed_out(fake):
     fake(jump)
-    step = joint_step(BOXED, get_backend("fake"), RAW)
+    step = get_method("fake").step(BOXED, RAW)
     assert (step.status, step.dtheta) == (StepStatus.VIOLATED, None)
     assert step.violation > ACCEPTED_VIOLATION
     assert not step.certificate.holds
@@ -289,7 +279,7 @@ def test_a_step_that_breaks_a_row_is_not_handed_out(fake):
 
 def test_a_step_that_breaks_a_row_is_mended_where_it_can_be(fake):
     fake(jump)
-    step = joint_step(BOXED, get_backend("fake"), QP_ONLY)
+    step = get_method("fake").step(BOXED, QP_ONLY)
     assert step.status is StepStatus.SOLVED
     assert step.certificate.holds
     assert np.array_equal(step.dtheta, [0.5, 0.5])
@@ -298,7 +288,7 @@ def test_a_step_that_breaks_a_row_is_mended_where_it_can_be(fake):
 
 def test_a_step_that_is_not_the_optimum_is_handed_out_as_uncertified(fake):
     fake(lambda stage: StageResult(np.zeros(stage.size)))
-    step = joint_step(BOXED, get_backend("fake"), RAW)
+    step = get_method("fake").step(BOXED, RAW)
     assert step.status is StepStatus.UNCERTIFIED
     assert step.found
     assert np.array_equal(step.dtheta, np.zeros(2))
@@ -310,7 +300,7 @@ def test_a_step_that_is_not_the_optimum_is_handed_out_as_uncertified(fake):
 def test_a_step_that_cannot_be_mended_is_found_from_nothing(fake, monkeypatch):
     monkeypatch.setattr("prioritized_ik.solvers.active_set.ITERATIONS", 1)
     fake(lambda stage: StageResult(np.zeros(stage.size)))
-    step = joint_step(BOXED, get_backend("fake"), QP_ONLY)
+    step = get_method("fake").step(BOXED, QP_ONLY)
     assert step.status is StepStatus.SOLVED
     assert step.dtheta == pytest.approx([0.5, 0.5], abs=ROUNDING)
     assert np.array_equal(step.raw, np.zeros(2))
@@ -321,14 +311,14 @@ def test_a_step_that_cannot_be_mended_at_all_is_handed_out_as_uncertified(fake, 
     monkeypatch.setattr("prioritized_ik.solvers.active_set.ITERATIONS", 1)
     monkeypatch.setattr("prioritized_ik.solvers.lexicographic.stagewise", lambda *given: (np.full(2, 0.2), NONE))
     fake(lambda stage: StageResult(np.zeros(stage.size)))
-    step = joint_step(BOXED, get_backend("fake"), QP_ONLY)
+    step = get_method("fake").step(BOXED, QP_ONLY)
     assert step.status is StepStatus.UNCERTIFIED
     assert np.array_equal(step.dtheta, np.full(2, 0.2))
     assert not step.certificate.holds
 
 
 def quadprog(stage: Stage) -> StageResult:
-    return registry.get_backend("quadprog").solve(stage)
+    return get_backend("quadprog").solve(stage)
 
 
 def test_a_step_that_is_certified_is_solved_once(fake):
@@ -339,7 +329,7 @@ def test_a_step_that_is_certified_is_solved_once(fake):
         return quadprog(stage)
 
     fake(right)
-    assert joint_step(BOXED, get_backend("fake"), QP_ONLY).status is StepStatus.SOLVED
+    assert get_method("fake").step(BOXED, QP_ONLY).status is StepStatus.SOLVED
     assert asked == [0]  # the level decides all joints
 
 
@@ -352,7 +342,7 @@ def held_at(fraction: float) -> np.ndarray:
 def test_a_step_may_break_a_row_by_the_accepted_fraction_only(fake, fraction):
     # x = 0 is not an answer of dθ = 0 alone: the basis turns the wanted joint step into variables.
     fake(lambda stage: StageResult(np.linalg.solve(stage.basis, held_at(fraction))))
-    step = joint_step(BOXED, get_backend("fake"), RAW)
+    step = get_method("fake").step(BOXED, RAW)
     assert step.found == (fraction < 1.0)
     assert step.status is (StepStatus.UNCERTIFIED if fraction < 1.0 else StepStatus.VIOLATED)
 
@@ -360,7 +350,7 @@ def test_a_step_may_break_a_row_by_the_accepted_fraction_only(fake, fraction):
 @pytest.mark.parametrize("fraction", [0.5, 2.0])
 def test_a_step_that_breaks_a_row_by_a_little_is_polished_to_the_optimum(fake, fraction):
     fake(lambda stage: StageResult(np.linalg.solve(stage.basis, held_at(fraction))))
-    step = joint_step(BOXED, get_backend("fake"), QP_ONLY)
+    step = get_method("fake").step(BOXED, QP_ONLY)
     assert (step.status, step.repairs) == (StepStatus.SOLVED, 0)
     assert np.array_equal(step.dtheta, [0.5, 0.5])
 
@@ -368,7 +358,7 @@ def test_a_step_that_breaks_a_row_by_a_little_is_polished_to_the_optimum(fake, f
 def test_calls_of_all_stages_are_counted(fake):
     fake(lambda stage: StageResult(np.zeros(stage.size), calls=3))
     problem = IKProblem([Level([[1.0, 0.0]], [0.1])], Bounds([-0.5, -0.5], [0.5, 0.5]))
-    assert joint_step(problem, get_backend("fake"), QP_ONLY).calls == 6
+    assert get_method("fake").step(problem, QP_ONLY).calls == 6
 
 
 def test_the_exception_for_a_failure_names_the_solver_and_keeps_the_step(fake):
@@ -435,7 +425,7 @@ def test_a_certificate_is_that_of_the_step_alone(seed):
     known = random_hierarchy(seed)
     for polish in (True, False):
         options = SolveOptions(rank_tolerance=1e-7, closed_form_first=False, polish=polish)
-        step = joint_step(known.problem, get_backend("daqp"), options)
+        step = get_method("daqp").step(known.problem, options)
         if step.found:
             assert step.certificate == certify(known.problem, step.dtheta, 1e-7)
             assert (step.status is StepStatus.SOLVED) == step.certificate.holds
@@ -449,7 +439,7 @@ def test_a_closed_form_step_is_certified_without_a_solver():
 
 def test_a_polished_step_keeps_the_solvers_own():
     problem = constrained_steps()[0]
-    raw, polished = (solve(problem, get_backend("daqp"), options) for options in (RAW, QP_ONLY))
+    raw, polished = (solve(problem, get_method("daqp"), options) for options in (RAW, QP_ONLY))
     assert np.array_equal(raw.raw, polished.raw)
     assert np.array_equal(raw.dtheta, raw.raw)
     assert not np.array_equal(polished.dtheta, polished.raw)
@@ -457,56 +447,48 @@ def test_a_polished_step_keeps_the_solvers_own():
 
 def test_the_damped_step_is_never_polished():
     problem = IKProblem([Level(np.eye(2), [1.0, 1.0])], Bounds([-0.5, -0.5], [0.5, 0.5]))
-    step = solve(problem, "daqp", SolveOptions("damped", damping=0.5))
+    step = solve(problem, "damped:daqp", SolveOptions(damping=0.5))
     assert np.array_equal(step.dtheta, step.raw)
 
 
-class Whole:
-    """A backend of whole hierarchies that answers with some step."""
+class Whole(Guessing):
+    """A method that guesses some step."""
 
     name, version = "whole", "0"
 
-    def __init__(self, x: np.ndarray | None) -> None:
-        self._x, self.seen = x, []
+    def __init__(self, u: np.ndarray | None) -> None:
+        self._u, self.seen = u, []
 
-    def solve_whole(self, hierarchy: Hierarchy) -> StageResult:
+    def guess(self, hierarchy: Hierarchy, clock: Clock) -> np.ndarray | str:
         self.seen.append(hierarchy)
-        return StageResult(self._x, "" if self._x is not None else "whole gave up", calls=7)
+        clock.timed(lambda: StageResult(self._u, calls=7))
+        return "whole gave up" if self._u is None else self._u
 
 
-def test_a_backend_of_whole_hierarchies_is_asked_once_for_the_joint_step():
-    backend = Whole(np.array([0.5, 0.5 - 1e-7]))
-    step = joint_step(BOXED, backend, QP_ONLY)
-    assert len(backend.seen) == 1
-    assert backend.seen[0].problem.levels[0].name == "reach"
+def test_a_method_that_guesses_is_asked_once_for_the_joint_step():
+    method = Whole(np.array([0.5, 0.5 - 1e-7]))
+    step = method.step(BOXED, QP_ONLY)
+    assert len(method.seen) == 1
+    assert method.seen[0].problem.levels[0].name == "reach"
     assert (step.status, step.calls) == (StepStatus.SOLVED, 7)
     assert np.array_equal(step.raw, [0.5, 0.5 - 1e-7])
     assert np.array_equal(step.dtheta, [0.5, 0.5])
 
 
-def test_a_backend_of_whole_hierarchies_that_gives_up_is_a_status_without_a_step():
-    step = joint_step(BOXED, Whole(None), QP_ONLY)
+def test_a_method_that_gives_up_is_a_status_without_a_step():
+    step = Whole(None).step(BOXED, QP_ONLY)
     assert (step.status, step.dtheta, step.message) == (StepStatus.NOT_FOUND, None, "whole gave up")
-
-
-def test_a_backend_of_whole_hierarchies_cannot_solve_the_damped_qp():
-    with pytest.raises(
-        InputError, match="whole solves whole hierarchies; the damped formulation needs a solver of single QPs"
-    ):
-        joint_step(BOXED, Whole(None), SolveOptions("damped"))
 
 
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"formulation": "weighted"}, "unknown formulation 'weighted'; choose one of: lexicographic, damped, slack"),
         ({"damping": -1.0}, "damping is -1.0; expected a finite number of at least 0"),
         ({"rank_tolerance": 1.0}, "rank_tolerance is 1.0; expected a number above 0 and below 1"),
         ({"rank_tolerance": -1e-4}, "rank_tolerance is -0.0001; expected a finite number of at least 0"),
-        ({"damping": 1.0}, "damping is 1.0, but the lexicographic formulation has none; damp a level instead"),
         ({"accuracy": 1.0}, "accuracy is 1.0; expected a number above 0 and below 1"),
     ],
-    ids=["formulation", "damping", "rank of one", "negative rank", "damping of levels", "accuracy"],
+    ids=["damping", "rank of one", "negative rank", "accuracy"],
 )
 def test_options_out_of_range_are_refused(values, message):
     with pytest.raises(InputError, match=message):
@@ -733,7 +715,7 @@ def test_weights_however_far_apart_are_nearly_two_levels_and_no_obstacle(decades
         weighed = 10.0 ** (-2 * decades) * two.costs[1]
         assert heavy <= two.costs[0] * (1.0 + ROUNDING) + weighed + unproven + ROUNDING**2
         for solver in FEW:  # some give up on such weights; none may answer otherwise
-            other = joint_step(problem, get_solver(solver), SolveOptions())
+            other = get_method(solver).step(problem, SolveOptions())
             if other.found and other.certificate.holds:
                 assert other.dtheta.tobytes() == step.dtheta.tobytes(), solver
 
@@ -763,7 +745,7 @@ def test_an_equality_and_a_row_that_say_the_same_to_eight_digits_have_one_answer
     problem = IKProblem([Level(np.eye(6), rng.normal(size=6))], rows=rows, equalities=equalities)
     answers = set()
     for solver in FEW:
-        step = joint_step(problem, get_solver(solver), SolveOptions())
+        step = get_method(solver).step(problem, SolveOptions())
         if step.status is StepStatus.INFEASIBLE:
             answers.add(step.conflict.names)
         else:

@@ -11,14 +11,17 @@ from winding_fixtures import AS_RECORDED, QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.errors import SolverUnavailableError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
-from prioritized_ik.solvers.backends import daqp_, daqp_hierarchy_, osqp_, piqp_, proxqp_, registry
+from prioritized_ik.solvers import daqp_hierarchy
+from prioritized_ik.solvers.backends import daqp_, osqp_, piqp_, proxqp_, registry
 from prioritized_ik.solvers.backends.abilities import NATIVE, abilities_of
 from prioritized_ik.solvers.backends.native import Answer, NativeBackend, full_pattern
-from prioritized_ik.solvers.backends.protocol import StageResult, WholeBackend
+from prioritized_ik.solvers.backends.protocol import StageResult
 from prioritized_ik.solvers.backends.registry import get_backend, installed_solvers, known_solvers
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import Hierarchy, strict_solution
-from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage, joint_step, solve
+from prioritized_ik.solvers.lexicographic import first_stage
+from prioritized_ik.solvers.registry import get_method, installed_methods
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.tolerances import SETTLED_FOR_SOLVERS
@@ -90,13 +93,13 @@ def answers() -> list[tuple]:
 
 
 def test_every_native_solver_is_known_and_installed():
-    assert set(EVERY) == NATIVE.keys()
-    assert set(EVERY) <= set(known_solvers())
-    assert set(EVERY) <= set(installed_solvers(on_request=True))
+    assert set(STAGED) == NATIVE.keys()
+    assert set(STAGED) <= set(known_solvers())
+    assert set(EVERY) <= {*installed_solvers(), *installed_methods(on_request=True)}
     assert set(STAGED) <= set(installed_solvers())
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", STAGED)
 def test_a_native_solver_has_its_row_and_version(name):
     assert abilities_of(name).native
     assert not abilities_of(name.split("-")[0]).native
@@ -105,35 +108,35 @@ def test_a_native_solver_has_its_row_and_version(name):
 
 @pytest.mark.parametrize("name", EVERY)
 def test_a_native_step_ends_on_the_same_rows_as_through_qpsolvers(name, answers):
-    backend = get_backend(name)
+    backend = get_method(name)
     for problem, wanted in answers:
-        step = joint_step(problem, backend, AS_RECORDED)
+        step = backend.step(problem, AS_RECORDED)
         assert relative(step.raw, wanted.dtheta) <= RAW_ERROR[name]
         assert problem.tight_rows(step.raw, NEAR * float(np.linalg.norm(wanted.dtheta))) == wanted.tight_rows
 
 
 @pytest.mark.parametrize("name", EVERY)
 def test_a_native_step_once_polished_is_the_certified_one(name, answers):
-    backend = get_backend(name)
+    backend = get_method(name)
     for problem, wanted in answers:
-        step = joint_step(problem, backend, AS_RECORDED)
+        step = backend.step(problem, AS_RECORDED)
         assert step.status is StepStatus.SOLVED
         assert relative(step.dtheta, wanted.dtheta) <= 1e-12  # the same face: what is left is rounding
 
 
 @pytest.mark.parametrize("name", EVERY)
 def test_a_free_step_is_the_closed_form(name):
-    backend = get_backend(name)
+    backend = get_method(name)
     for problem in free_steps():
-        step = joint_step(problem, backend, AS_RECORDED)
+        step = backend.step(problem, AS_RECORDED)
         assert relative(step.raw, strict_solution(problem.levels, problem.reference)) <= CLOSED_FORM_ERROR
 
 
 @pytest.mark.parametrize("name", STAGED)
 def test_steps_in_a_row_do_not_depend_on_where_they_start(name):
-    warm = get_backend(name)
+    warm = get_method(name)
     for problem in list(recorded("up").problems())[60:80]:
-        here, anew = (joint_step(problem, backend, AS_RECORDED) for backend in (warm, get_backend(name)))
+        here, anew = (backend.step(problem, AS_RECORDED) for backend in (warm, get_method(name)))
         assert here.dtheta.tobytes() == anew.dtheta.tobytes()
         # A first-order method ends anywhere within its tolerance: two of its answers are twice their error apart.
         assert relative(here.raw, anew.raw) <= 2.0 * RAW_ERROR[name]
@@ -227,12 +230,12 @@ def test_multipliers_follow_their_rows_to_another_position():
 
 @pytest.mark.parametrize("name", EVERY)
 def test_nothing_is_printed(name, capfd):
-    backend = get_backend(name)
+    method = get_method(name)
     for problem in (constrained_steps()[0], free_steps()[0], IKProblem([Level([[1.0, 0.0]], [5.0])])):
-        joint_step(problem, backend, AS_RECORDED)
-    if not isinstance(backend, WholeBackend):
-        backend.solve(infeasible())
-        backend.solve(first_stage(constrained_steps()[0], SolveOptions("damped")))
+        method.step(problem, AS_RECORDED)
+    if name in STAGED:
+        get_backend(name).solve(infeasible())
+        get_method(f"damped:{name}").step(constrained_steps()[0])
     assert capfd.readouterr() == ("", "")
 
 
@@ -331,7 +334,7 @@ def test_a_refinement_that_fails_leaves_the_answer_but_no_memory(name, monkeypat
 
 
 @pytest.mark.parametrize("name", STAGED)
-def test_the_damped_qp_is_solved_once_as_it_stands_with_default_options(name, monkeypatch):
+def test_the_damped_qp_is_solved_once_with_default_options(name, monkeypatch):
     given, real = [], WORKSPACES[name].__init__
 
     def watched(workspace, problem, options, costed, shift):
@@ -340,14 +343,16 @@ def test_the_damped_qp_is_solved_once_as_it_stands_with_default_options(name, mo
 
     monkeypatch.setattr(WORKSPACES[name], "__init__", watched)
     problem = constrained_steps()[0]
-    stage, backend = first_stage(problem, SolveOptions("damped")), get_backend(name)
-    results = [backend.solve(stage) for _ in range(2)]
+    stage, backend = get_method(f"damped:{name}").stage(problem), get_backend(name)
+    results = [backend.solve_once(stage) for _ in range(2)]
     assert [result.calls for result in results] == [1, 1]
     assert (results[0].x == results[1].x).all()  # each from nothing
     assert given == [({}, 0.0)] * 2
     cost = problem.levels[0].cost
     # The default tolerance of OSQP, 1e-3, is the largest.
-    assert cost(results[0].x) <= 1.01 * cost(get_backend("daqp").solve(stage).x) + 1e-3 * cost(np.zeros(len(stage.origin)))
+    assert cost(results[0].x) <= 1.01 * cost(get_backend("daqp").solve_once(stage).x) + 1e-3 * cost(
+        np.zeros(len(stage.origin))
+    )
 
 
 @pytest.mark.parametrize("name", STAGED)
@@ -419,18 +424,27 @@ CORNERS = {
 @pytest.mark.parametrize("name", EVERY)
 @pytest.mark.parametrize(("problem", "wanted"), CORNERS.values(), ids=CORNERS.keys())
 def test_corner_cases_are_solved(name, problem, wanted):
-    step = solve(problem, get_backend(name), QP_ONLY)
+    step = solve(problem, get_method(name), QP_ONLY)
     assert step.dtheta == pytest.approx(wanted, abs=SMALL)
     assert step.raw == pytest.approx(wanted, abs=1e-5)  # before the polish
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", STAGED)
 def test_a_solver_that_is_not_installed_is_refused_with_the_command_that_installs_it(name, monkeypatch):
     monkeypatch.setattr(registry.importlib.util, "find_spec", lambda module: None)
     with pytest.raises(SolverUnavailableError, match=rf"'{name}' is not installed; install it with: pip install \w+ \("):
         get_backend(name)
     assert name in known_solvers()
     assert name not in installed_solvers(on_request=True)
+
+
+def test_the_hierarchical_solver_that_is_not_installed_is_refused_with_the_command_that_installs_it(monkeypatch):
+    monkeypatch.setattr(registry.importlib.util, "find_spec", lambda module: None)
+    with pytest.raises(
+        SolverUnavailableError, match="'daqp-hierarchy' is not installed; install it with: pip install daqp"
+    ):
+        get_method("daqp-hierarchy")
+    assert "daqp-hierarchy" not in installed_methods(on_request=True)
 
 
 @pytest.mark.parametrize("entries", [[[1.0, 0.0], [0.0, 0.0], [0.0, 2.0]], np.zeros((2, 3)), np.zeros((0, 2))])
@@ -445,14 +459,13 @@ def test_the_full_pattern_stores_zeros_too(entries):
 
 
 def whole(problem: IKProblem) -> np.ndarray:
-    result = get_backend("daqp-hierarchy").solve_whole(Hierarchy(problem))
+    result = get_method("daqp-hierarchy").solve_whole(Hierarchy(problem))
     assert result.x is not None, result.message
     return result.x
 
 
 def test_the_hierarchical_solver_takes_whole_hierarchies_in_one_call(answers):
-    assert isinstance(get_backend("daqp-hierarchy"), WholeBackend)
-    assert joint_step(answers[0][0], get_backend("daqp-hierarchy"), AS_RECORDED).calls == 1
+    assert get_method("daqp-hierarchy").step(answers[0][0], AS_RECORDED).calls == 1
 
 
 def test_a_levels_weights_count_although_daqp_makes_its_rows_equally_long():
@@ -467,22 +480,22 @@ def test_a_levels_weights_count_although_daqp_makes_its_rows_equally_long():
 
 
 def test_a_level_that_daqp_loses_is_tried_with_looser_tolerances_and_then_a_failure(monkeypatch):
-    seen, real = [], daqp_hierarchy_.daqp.solve
+    seen, real = [], daqp_hierarchy.daqp.solve
 
     def losing(*given, primal_tol, rho_soft):
         seen.append((primal_tol, rho_soft))
         x, value, _, info = real(*given, primal_tol=primal_tol, rho_soft=rho_soft)
         return x, value, 3, info
 
-    monkeypatch.setattr(daqp_hierarchy_.daqp, "solve", losing)
-    result = get_backend("daqp-hierarchy", 1e-8).solve_whole(Hierarchy(constrained_steps()[0], RANK_TOLERANCE))
+    monkeypatch.setattr(daqp_hierarchy.daqp, "solve", losing)
+    result = get_method("daqp-hierarchy", 1e-8).solve_whole(Hierarchy(constrained_steps()[0], RANK_TOLERANCE))
     assert result == StageResult(None, "daqp-hierarchy found no solution (exit flag 3)", 3)
-    assert seen == [(pytest.approx(factor * 1e-8), rho) for factor, rho in daqp_hierarchy_.ATTEMPTS]
+    assert seen == [(pytest.approx(factor * 1e-8), rho) for factor, rho in daqp_hierarchy.ATTEMPTS]
 
 
 def test_values_of_the_hierarchical_solver_that_are_not_finite_are_a_failure(monkeypatch):
-    monkeypatch.setattr(daqp_hierarchy_.daqp, "solve", lambda *given, **options: (np.full(49, np.nan), 0.0, 1, {}))
-    result = get_backend("daqp-hierarchy").solve_whole(Hierarchy(constrained_steps()[0], RANK_TOLERANCE))
+    monkeypatch.setattr(daqp_hierarchy.daqp, "solve", lambda *given, **options: (np.full(49, np.nan), 0.0, 1, {}))
+    result = get_method("daqp-hierarchy").solve_whole(Hierarchy(constrained_steps()[0], RANK_TOLERANCE))
     assert (result.x, result.message) == (None, "daqp-hierarchy returned values that are not finite")
 
 
@@ -490,19 +503,19 @@ def test_what_the_hierarchical_solver_raises_is_a_failure(monkeypatch):
     def failing(*given, **options):
         raise ValueError("buffer")
 
-    monkeypatch.setattr(daqp_hierarchy_.daqp, "solve", failing)
-    result = get_backend("daqp-hierarchy").solve_whole(Hierarchy(constrained_steps()[0], RANK_TOLERANCE))
+    monkeypatch.setattr(daqp_hierarchy.daqp, "solve", failing)
+    result = get_method("daqp-hierarchy").solve_whole(Hierarchy(constrained_steps()[0], RANK_TOLERANCE))
     assert (result.x, result.message) == (None, "daqp-hierarchy raised ValueError: buffer")
 
 
 def test_hard_rows_without_a_common_point_are_a_failure_of_the_hierarchical_solver():
     problem = IKProblem([Level([[1.0, 0.0]], [5.0])], rows=Rows([[1.0, 0.0], [-1.0, 0.0]], [-1.0, -1.0]))
-    assert get_backend("daqp-hierarchy").solve_whole(Hierarchy(problem)).x is None
+    assert get_method("daqp-hierarchy").solve_whole(Hierarchy(problem)).x is None
 
 
 def test_a_step_that_equalities_decide_needs_no_solver():
     problem = IKProblem([Level(np.eye(2), [5.0, 5.0])], equalities=Equalities(np.eye(2), [0.25, -0.5]))
-    result = get_backend("daqp-hierarchy").solve_whole(Hierarchy(problem))
+    result = get_method("daqp-hierarchy").solve_whole(Hierarchy(problem))
     assert result.x == pytest.approx([0.25, -0.5], abs=1e-15)
     assert result.calls == 0
 
@@ -512,9 +525,9 @@ def test_a_copy_of_a_used_solver_solves_and_leaves_the_process_alive(name):
     """In a process of its own, as a copy of memory that belongs to a library in C++ would end it."""
     script = """
 import copy, pickle, sys
-from prioritized_ik import Bounds, IKProblem, Level, get_backend, solve
+from prioritized_ik import Bounds, IKProblem, Level, get_method, solve
 problem = IKProblem([Level([[1.0, 1.0]], [1.0])], Bounds([-0.1] * 2, [0.1] * 2))
-used = get_backend(sys.argv[1])
+used = get_method(sys.argv[1])
 solve(problem, used)
 for other in (copy.deepcopy(used), pickle.loads(pickle.dumps(used))):
     assert abs(solve(problem, other).dtheta - 0.1).max() < 1e-12

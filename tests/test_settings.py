@@ -91,12 +91,7 @@ def test_links_may_stop_anywhere_if_contacts_are_off():
 
 
 OPTIONS = {
-    "formulation": (
-        {"formulation": "sequential"},
-        "unknown formulation 'sequential'; choose one of: lexicographic, damped, slack",
-    ),
     "damping": ({"damping": -1.0}, r"damping is -1\.0"),
-    "damping of strict levels": ({"damping": 1e-12}, "damping is 1e-12, but the lexicographic formulation has none"),
     "rank tolerance negative": ({"rank_tolerance": -1e-4}, r"rank_tolerance is -0\.0001"),
     "rank tolerance 1": ({"rank_tolerance": 1.0}, r"rank_tolerance is 1\.0"),
 }

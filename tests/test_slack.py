@@ -11,9 +11,10 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.backends import qpsolvers_
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
-from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage, joint_step, solve
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.registry import get_method
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.stages import damped_stage, slack_stage
 from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.winding.episode import Outcome, wind
@@ -49,8 +50,9 @@ def dense_kkt(problem: IKProblem, damping: float, tight: np.ndarray) -> np.ndarr
 
 
 def by(formulation: str, problem: IKProblem, solver: str = "quadprog", damping: float = DAMPING) -> np.ndarray:
-    stage = first_stage(problem, SolveOptions(formulation, damping=damping))
-    x = QpsolversBackend(solver, 1e-8).solve(stage).x
+    method = get_method(f"{formulation}:{solver}")
+    stage = method.stage(problem, SolveOptions(damping=damping))
+    x = method.backend.solve_once(stage).x
     assert x is not None
     return stage.dtheta(x)
 
@@ -90,7 +92,6 @@ def test_the_hessian_is_diagonal_and_the_level_stands_in_the_equality_rows():
     assert np.array_equal(qp.b, np.concatenate([level.target, problem.equalities.target]))
     assert np.array_equal(qp.G, np.hstack([problem.inequalities.matrix, np.zeros((len(qp.h), 4))]))
     assert np.array_equal(stage.dtheta(np.arange(10.0)), np.arange(6.0))
-    assert stage.as_it_stands
 
 
 def test_without_rows_there_are_only_the_equality_rows():
@@ -135,7 +136,7 @@ def test_every_kind_of_solver_takes_the_slack_qp_with_its_equality_rows(solver):
     assert by("slack", problem, solver) == pytest.approx(truth, abs=1e-2 * np.linalg.norm(truth))  # default options
 
 
-def test_the_slack_qp_is_solved_once_as_it_stands_with_default_options(monkeypatch):
+def test_the_slack_qp_is_solved_once_with_default_options(monkeypatch):
     exact, seen = qpsolvers_.qpsolvers.solve_problem, []
 
     def watched(problem, solver, **options):
@@ -143,14 +144,14 @@ def test_the_slack_qp_is_solved_once_as_it_stands_with_default_options(monkeypat
         return exact(problem, solver, **options)
 
     monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", watched)
-    stage = first_stage(constrained_steps()[0], SolveOptions("slack"))
-    assert QpsolversBackend("proxqp", 1e-8).solve(stage).calls == 1
+    stage = get_method("slack:proxqp").stage(constrained_steps()[0])
+    assert QpsolversBackend("proxqp", 1e-8).solve_once(stage).calls == 1
     assert seen == [(stage.problem, {})]
 
 
 def test_a_slack_step_keeps_the_rows_and_is_never_polished():
     problem = random_problem(2)
-    step = solve(problem, "quadprog", SolveOptions("slack", damping=0.5))
+    step = solve(problem, "slack:quadprog", SolveOptions(damping=0.5))
     assert step.status is StepStatus.UNCERTIFIED  # it is another problem than the hierarchy's
     assert np.array_equal(step.dtheta, step.raw)
     assert problem.relative_violation(step.dtheta) <= 1e-9
@@ -159,27 +160,15 @@ def test_a_slack_step_keeps_the_rows_and_is_never_polished():
 def test_raw_is_the_damped_formulation_without_damping():
     problem = random_problem(3)
     (level,) = problem.levels
-    qp = first_stage(problem, SolveOptions("damped", damping=0.0)).problem
+    qp = get_method("damped:quadprog").stage(problem, SolveOptions(damping=0.0)).problem
     assert np.linalg.matrix_rank(qp.P) == 3
     assert np.array_equal(qp.P, level.matrix.T @ (level.weights[:, None] * level.matrix))
-
-
-class Whole:
-    name, version = "whole", "0"
-
-    def solve_whole(self, hierarchy):
-        raise AssertionError("it is not asked")
 
 
 @pytest.mark.parametrize("solver", ["daqp-warm", "osqp-warm", "proxqp-warm", "proxqp-sparse-warm"])
 def test_native_backends_refuse_the_slack_qp(solver):
     with pytest.raises(InputError, match=f"{solver} takes no equality rows; the slack formulation needs a solver called"):
-        joint_step(random_problem(0), get_backend(solver), SolveOptions("slack"))
-
-
-def test_backends_of_whole_hierarchies_refuse_the_slack_qp():
-    with pytest.raises(InputError, match="whole solves whole hierarchies; the slack formulation needs a solver of single"):
-        joint_step(random_problem(0), Whole(), SolveOptions("slack"))
+        get_method(f"slack:{solver}")
 
 
 def test_the_slack_formulation_takes_one_equal_level_only():
@@ -187,11 +176,11 @@ def test_the_slack_formulation_takes_one_equal_level_only():
     soft = IKProblem([Level(np.eye(2), [1.0, 1.0], kind="at_most")])
     for problem, said in ((two, "one level, not 2"), (soft, "a level of kind 'equal', not 'at_most'")):
         with pytest.raises(InputError, match=f"the slack formulation takes {said}; use 'lexicographic'"):
-            first_stage(problem, SolveOptions("slack"))
+            get_method("slack:quadprog").stage(problem)
 
 
 def test_the_arm_winds_by_the_slack_qp():
-    settings = WindingSettings(solver="quadprog", max_steps=5, options=SolveOptions("slack"))
+    settings = WindingSettings(solver="slack:quadprog", max_steps=5)
     episode = wind(settings)
     assert episode.outcome is Outcome.OUT_OF_STEPS
     assert WindingSettings.from_json(settings.to_json()) == settings

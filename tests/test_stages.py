@@ -13,6 +13,7 @@ from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, level_decomposition, resulting_displacement, weighted_optimum
 from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
 from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage
+from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.stages import FAR_SLACK, FoldState, Stage, damped_stage, level_stage, reference_stage
 
 ROUNDING = 1e-12  # sums of some fifty products of doubles, relative to their size
@@ -472,7 +473,6 @@ def test_the_damped_stage_is_the_damped_normal_equations_in_joint_steps(problem)
     assert np.array_equal(stage.problem.G, problem.inequalities.matrix)
     assert np.array_equal(stage.problem.h, problem.inequalities.upper)
     assert np.array_equal(stage.dtheta(np.arange(5.0)), np.arange(5.0))
-    assert stage.as_it_stands
 
 
 def test_the_damped_stage_holds_an_equality_from_both_sides():
@@ -488,12 +488,6 @@ def test_the_damped_stage_of_a_free_problem_has_no_rows_or_bounds():
     assert (qp.G, qp.h, qp.lb, qp.ub) == (None, None, None, None)
 
 
-def test_the_first_stage_to_look_at_is_that_of_the_formulation():
-    problem = PROBLEMS[0]
-    assert first_stage(problem, SolveOptions(formulation="damped")).as_it_stands
-    assert not first_stage(problem, SolveOptions()).as_it_stands
-
-
 @pytest.mark.parametrize(
     ("kinds", "said"),
     [(["equal", "equal"], "one level, not 2"), (["at_most"], "a level of kind 'equal', not 'at_most'")],
@@ -502,7 +496,7 @@ def test_the_first_stage_to_look_at_is_that_of_the_formulation():
 def test_the_damped_formulation_takes_one_equal_level_only(kinds: list[str], said: str):
     levels = [Level(np.eye(2), [1.0, 1.0], kind=kind) for kind in kinds]
     with pytest.raises(InputError, match=f"the damped formulation takes {said}; use 'lexicographic'"):
-        first_stage(IKProblem(levels), SolveOptions(formulation="damped"))
+        get_method("damped:daqp").stage(IKProblem(levels))
 
 
 # Sabotage.

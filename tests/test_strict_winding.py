@@ -5,13 +5,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from winding_fixtures import QP_ONLY, recorded
+from winding_fixtures import QP_ONLY, By, recorded
 
 from prioritized_ik.errors import EpisodeFileError, InputError
 from prioritized_ik.models import DIRECTIONS
 from prioritized_ik.problem import IKProblem, Level
-from prioritized_ik.solvers.backends.registry import get_backend
-from prioritized_ik.solvers.lexicographic import joint_step
+from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.weights import winding_priorities
 from prioritized_ik.winding.controller import WindingController, levels_of
 from prioritized_ik.winding.episode import Episode, Outcome, replay, wind
@@ -19,7 +18,7 @@ from prioritized_ik.winding.metrics import measure
 from prioritized_ik.winding.plan import first_and_last_in_contact
 from prioritized_ik.winding.settings import WindingSettings
 
-DAQP = get_backend("daqp")
+DAQP = get_method("daqp")
 NEARLY = 1e-6  # of the target's square: what solvers at accuracy 1e-8 leave, and ten times as much again
 
 
@@ -94,9 +93,9 @@ def test_problems_of_a_saved_episode_are_those_that_were_posed(tmp_path):
 
     def solve(problem, q):
         seen.append(problem)
-        return joint_step(problem, DAQP, QP_ONLY)
+        return DAQP.step(problem, QP_ONLY)
 
-    wind(WindingSettings(weights="strict", link=14, tilt=0.3, max_steps=60), solve).save(tmp_path / "strict.npz")
+    wind(WindingSettings(weights="strict", link=14, tilt=0.3, max_steps=60), By(solve)).save(tmp_path / "strict.npz")
     loaded = Episode.load(tmp_path / "strict.npz")
     assert {len(problem.levels) for problem in seen} == {2, 3}  # 2 once link 16 touches
     assert [bits(problem) for problem in loaded.problems()] == [bits(problem) for problem in seen]
@@ -174,8 +173,8 @@ def test_the_wound_arms_move_no_more_than_with_the_weights_of_eq23(step):
     weighted = recorded().problem(step)
     problem = in_strict_levels(weighted, recorded().in_contact[step])
     first = problem.levels[0]
-    ours = joint_step(problem, DAQP, QP_ONLY).dtheta
-    theirs = joint_step(weighted, DAQP, QP_ONLY).dtheta
+    ours = DAQP.step(problem, QP_ONLY).dtheta
+    theirs = DAQP.step(weighted, QP_ONLY).dtheta
     assert first.cost(ours) <= first.cost(theirs) + NEARLY * (weighted.levels[0].target @ weighted.levels[0].target)
 
 
@@ -184,14 +183,14 @@ def test_the_tail_takes_nothing_from_the_levels_above_whatever_it_asks(step):
     problem = in_strict_levels(recorded().problem(step), recorded().in_contact[step])
     *above, tail = problem.levels
     greedy = Level(tail.matrix, np.random.default_rng(step).normal(scale=1.0, size=len(tail.target)), tail.weights)
-    alone = joint_step(IKProblem(above, problem.bounds, problem.rows), DAQP, QP_ONLY).dtheta
-    after = joint_step(IKProblem([*above, greedy], problem.bounds, problem.rows), DAQP, QP_ONLY).dtheta
+    alone = DAQP.step(IKProblem(above, problem.bounds, problem.rows), QP_ONLY).dtheta
+    after = DAQP.step(IKProblem([*above, greedy], problem.bounds, problem.rows), QP_ONLY).dtheta
     assert np.linalg.norm(after - alone) > 1e-3  # it does pull
     for level in above:
         assert level.cost(after) <= level.cost(alone) + NEARLY * (above[1].target @ above[1].target)
 
 
 def test_a_damped_solve_of_strict_levels_is_refused():
-    settings = WindingSettings(weights="strict", options=replace(QP_ONLY, formulation="damped"))
+    settings = WindingSettings(weights="strict", solver="damped:daqp", options=QP_ONLY)
     with pytest.raises(InputError, match="the damped formulation takes one level, not 3"):
         wind(settings)

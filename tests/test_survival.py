@@ -24,13 +24,15 @@ from prioritized_ik import errors
 from prioritized_ik.errors import InfeasibleError, InputError, SolverUnavailableError, StepNotFoundError
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
 from prioritized_ik.solvers.backends.native import Answer, NativeBackend
-from prioritized_ik.solvers.backends.protocol import SolverFailedError, WholeBackend
+from prioritized_ik.solvers.backends.protocol import SolverFailedError
 from prioritized_ik.solvers.backends.registry import get_backend, installed_solvers
-from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage, solve
+from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage
+from prioritized_ik.solvers.registry import get_method
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.stages import Stage
 
-EVERY = installed_solvers(on_request=True)
-STAGED = [name for name in EVERY if not isinstance(get_backend(name), WholeBackend)]
+STAGED = installed_solvers(on_request=True)
+EVERY = [*STAGED, "active-set", "daqp-hierarchy"]
 NATIVE = [name for name in STAGED if isinstance(get_backend(name), NativeBackend)]
 QP_ONLY = SolveOptions(closed_form_first=False)
 
@@ -146,7 +148,7 @@ def test_pools_of_processes_hand_back_answers_and_infeasible_errors(tmp_path):
                 print("handed back")
 
         if __name__ == "__main__":
-            used = [pik.get_backend(name) for name in ("daqp-warm", "proxqp-warm", "quadprog")]
+            used = [pik.get_method(name) for name in ("daqp-warm", "proxqp-warm", "quadprog")]
             for backend in used:
                 one(0.1, backend)
             for way in ("fork", "spawn"):
@@ -169,14 +171,16 @@ def test_pools_of_processes_hand_back_answers_and_infeasible_errors(tmp_path):
 @COPIED
 @pytest.mark.parametrize("used", [False, True], ids=["unused", "used"])
 @pytest.mark.parametrize("name", EVERY)
-def test_a_backend_is_copied_used_or_not_and_the_copy_solves(name, used, copied):
-    backend = get_backend(name)
+def test_a_method_is_copied_used_or_not_and_the_copy_solves(name, used, copied):
+    method = get_method(name)
     if used:
-        solve(PROBLEM, backend, QP_ONLY)
-    twin = copied(backend)
-    assert type(twin) is type(backend)
-    assert (twin.name, twin.accuracy, twin.version) == (backend.name, backend.accuracy, backend.version)
-    for either in (twin, backend, copied(twin)):
+        solve(PROBLEM, method, QP_ONLY)
+    twin = copied(method)
+    assert type(twin) is type(method)
+    assert (twin.name, twin.version) == (method.name, method.version)
+    if name in STAGED:
+        assert (twin.backend.name, twin.backend.accuracy) == (method.backend.name, method.backend.accuracy)
+    for either in (twin, method, copied(twin)):
         assert solve(PROBLEM, either, QP_ONLY).dtheta == pytest.approx(ANSWER, abs=NEAR)
 
 
@@ -220,12 +224,13 @@ def test_a_forked_process_does_not_use_what_its_parent_set_up_and_the_parent_goe
         f"""
         import os, threading
         import prioritized_ik as pik
+        from prioritized_ik.solvers.backends.registry import get_backend
         from prioritized_ik.solvers.lexicographic import first_stage
 
         problem = pik.IKProblem([pik.Level([[1.0, 1.0]], [1.0])], pik.Bounds([-0.1] * 2, [0.1] * 2))
         stage = first_stage(problem, pik.SolveOptions(closed_form_first=False))
         for name in {NATIVE!r}:
-            backend, made = pik.get_backend(name), []
+            backend, made = get_backend(name), []
 
             class Counted(backend._workspace):
                 def __init__(self, *given):
@@ -270,12 +275,12 @@ def test_a_forked_process_does_not_use_what_its_parent_set_up_and_the_parent_goe
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_threads_with_a_backend_each_get_the_right_answers(name):
+def test_threads_with_a_method_each_get_the_right_answers(name):
     def many(pull: float) -> list[np.ndarray]:
-        backend = get_backend(name)
+        method = get_method(name)
         level = Level([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0]], [pull, 0.0])
         problem = IKProblem([level], PROBLEM.bounds, reference=PROBLEM.reference)
-        return [solve(problem, backend, QP_ONLY).dtheta for _ in range(3)]
+        return [solve(problem, method, QP_ONLY).dtheta for _ in range(3)]
 
     pulls = [1.0, 1.2, 0.8, 0.6]
     with ThreadPoolExecutor(len(pulls)) as pool:
@@ -308,7 +313,7 @@ def test_a_backend_in_use_by_another_thread_says_so_and_is_not_harmed(name, monk
         other = pool.submit(backend.solve, stage)
         assert held.inside.wait(30)
         try:
-            with pytest.raises(InputError, match=f"backend {name} is in use by another thread; make one a thread with"):
+            with pytest.raises(InputError, match=f"backend {name} is in use by another thread; make one a thread"):
                 backend.solve(stage)
             assert copy.deepcopy(backend).solve(stage).x is not None
         finally:
@@ -406,9 +411,9 @@ def test_a_multiplier_that_rounding_made_negative_is_zero(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["daqp", "daqp-warm", "proxqp", "proxqp-warm", "quadprog", "clarabel"])
-def test_a_qp_solved_as_it_stands_has_multipliers_too(name):
-    stage = first_stage(PROBLEM, SolveOptions("damped"))
-    result = get_backend(name).solve(stage)
+def test_a_qp_solved_once_has_multipliers_too(name):
+    stage = get_method(f"damped:{name}").stage(PROBLEM)
+    result = get_backend(name).solve_once(stage)
     assert result.multipliers.shape == stage.row_ids.shape
     assert left_over(stage, result.x, result.multipliers) <= STATIONARY
 
@@ -463,8 +468,8 @@ def test_multipliers_that_a_solver_does_not_give_are_none(z, monkeypatch):
 
 @pytest.mark.parametrize("name", STAGED)
 def test_a_stage_without_answer_has_no_multipliers(name):
-    stage = first_stage(infeasible(), SolveOptions("damped"))
-    result = get_backend(name).solve(stage)
+    stage = get_method(f"damped:{name}").stage(infeasible())
+    result = get_backend(name).solve_once(stage)
     if result.x is None:  # not every solver tells, with its default options
         assert result.multipliers is None
 

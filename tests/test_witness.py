@@ -14,7 +14,7 @@ from prioritized_ik.errors import InputError, WitnessError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers import witness
 from prioritized_ik.solvers.hierarchy import strict_solution
-from prioritized_ik.solvers.lexicographic import solve
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.witness import witness_solvers, witness_step
 
 BY_HAND = 1e-6  # interior points leave a tight row without a multiplier by the root of their tolerance, 1e-14

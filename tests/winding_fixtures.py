@@ -8,6 +8,7 @@ from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.methods import Method
 from prioritized_ik.winding.episode import Episode, wind
 from prioritized_ik.winding.settings import WindingSettings
 
@@ -52,3 +53,15 @@ def _spread(count: int, *, free: bool) -> tuple[IKProblem, ...]:
 
 def closed_form_is_feasible(problem: IKProblem) -> bool:
     return problem.relative_violation(strict_solution(problem.levels, problem.reference)) <= MET
+
+
+class By(Method):
+    """A method that answers with what a function makes of a problem and the joint positions where it was posed."""
+
+    name, version = "by", "0"
+
+    def __init__(self, function) -> None:
+        self._function = function
+
+    def step(self, problem, options=None, place=None):
+        return self._function(problem, place.q)

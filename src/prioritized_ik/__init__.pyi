@@ -21,15 +21,17 @@ from .limits import step_bounds as step_bounds
 
 # solve
 from .solvers.lexicographic import SolveOptions as SolveOptions
-from .solvers.lexicographic import solve as solve
-from .solvers.lexicographic import get_solver as get_solver
+from .solvers.solve import solve as solve
+from .solvers.methods import Method as Method
+from .solvers.registry import get_method as get_method
+from .solvers.registry import installed_methods as installed_methods
+from .solvers.registry import known_methods as known_methods
+from .solvers.registry import register as register
 from .solvers.step import JointStep as JointStep
 from .solvers.step import StepStatus as StepStatus
 from .solvers.certificate import Certificate as Certificate
 from .solvers.certificate import certify as certify
 from .solvers.explain import explain as explain
-from .solvers.backends.registry import get_backend as get_backend
-from .solvers.backends.registry import installed_solvers as installed_solvers
 
 # winding
 from .winding.settings import WindingSettings as WindingSettings

@@ -57,8 +57,8 @@ def main() -> None:
 
 @main.command()
 @click.option("--direction", default="up", help="Where the object comes from: up, down, front or back.")
-@click.option("--solver", default="daqp", help="A QP solver (see `solvers`), active-set, or closed-form (Eqs. 12-14).")
-@click.option("--formulation", default="lexicographic", help="lexicographic (exact), damped or slack.")
+@click.option("--solver", default="active-set", help="A method, or a QP solver for lexicographic:SOLVER; see `solvers`.")
+@click.option("--formulation", hidden=True, help="Old spelling: `--solver proxqp --formulation damped` is damped:proxqp.")
 @click.option("--weights", default="eq23", help="Weights of the arms: eq23 or eq24; or strict, levels in place of weights.")
 @click.option("--links", default=17, help="Number of links n.")
 @click.option("--link", default=6, help="The link k that touches the object first.")
@@ -75,7 +75,7 @@ def main() -> None:
 def wind(
     direction: str,
     solver: str,
-    formulation: str,
+    formulation: str | None,
     weights: str,
     links: int,
     link: int,
@@ -91,11 +91,13 @@ def wind(
     record: str | None,
 ) -> None:
     """Wind the arm around an object by touch alone, and print how it went."""
+    from click.core import ParameterSource
     from threadpoolctl import threadpool_limits
 
     from prioritized_ik.models import Arm
     from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
     from prioritized_ik.solvers.lexicographic import SolveOptions
+    from prioritized_ik.solvers.registry import LEXICOGRAPHIC, old_name
     from prioritized_ik.validation import one_of, positive
     from prioritized_ik.winding.episode import Outcome
     from prioritized_ik.winding.episode import wind as run
@@ -110,6 +112,9 @@ def wind(
         from prioritized_ik.winding.picture import kind_of
 
         kind_of(writable_file(record))
+    if formulation is not None:
+        unnamed = click.get_current_context().get_parameter_source("solver") is ParameterSource.DEFAULT
+        solver = old_name("daqp" if unnamed and formulation != LEXICOGRAPHIC else solver, formulation)
     free = solver == CLOSED_FORM  # the closed form knows no limits
     settings = WindingSettings(
         arm=Arm(links=links),
@@ -125,7 +130,7 @@ def wind(
         contacts=contacts and not free,
         max_steps=steps,
         solver=solver,
-        options=SolveOptions(formulation=formulation, rank_tolerance=RANK_TOLERANCE),
+        options=SolveOptions(rank_tolerance=RANK_TOLERANCE),
     )
     with threadpool_limits(1):  # matrices this small only lose by more
         episode = run(settings)

@@ -6,7 +6,8 @@ import numpy as np
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows, replaced
-from prioritized_ik.solvers.lexicographic import SolveOptions, solve
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.tolerances import CERTIFIED
 

@@ -1,45 +1,33 @@
-"""One solve, from the problem to a certified step, and the fold over levels by which a QP solver makes its guess.
+"""What methods share: from a problem and a start to a certified step, and the fold by which a QP solver makes its guess.
 
 The closed form comes first: if it meets every row it is the optimum of every level (Eqs. 6 and 12 to 14), and no QP is
 needed. Otherwise a guess of the rows that the optimum rests on (the rows of the last step, or a QP solver's answer level by
 level) goes to the active-set kernel, which makes it the optimum and proves it.
 """
 
-import importlib.metadata
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import cast
 
 import numpy as np
 
-from prioritized_ik.errors import InfeasibleError, InputError, SolverUnavailableError, StepNotFoundError
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers import active_set
 from prioritized_ik.solvers.active_set import Active, Solution
-from prioritized_ik.solvers.backends.abilities import abilities_of
-from prioritized_ik.solvers.backends.protocol import AnyBackend, Backend, StageResult, WholeBackend
-from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend
+from prioritized_ik.solvers.backends.protocol import Backend, StageResult
+from prioritized_ik.solvers.backends.registry import ACCURACY
 from prioritized_ik.solvers.certificate import Proof
 from prioritized_ik.solvers.conflict import find_conflict
 from prioritized_ik.solvers.damping import handed_down
 from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.report import level_reports
-from prioritized_ik.solvers.stages import FoldState, Stage, damped_stage, level_stage, reference_stage, slack_stage
+from prioritized_ik.solvers.stages import FoldState, Stage, level_stage, reference_stage
 from prioritized_ik.solvers.stagewise import stagewise
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.solvers.subspaces import directions_left
 from prioritized_ik.tolerances import ACCEPTED_VIOLATION, FREE, NARROW, SETTLED_FOR_SOLVERS, TIGHT, WEAK
-from prioritized_ik.validation import Array, fraction, non_negative, one_of, tolerance_above_rounding
-
-FORMULATIONS = ("lexicographic", "damped", "slack")
-
-#: Those that are one QP, solved as it stands; the other is a fold over stages.
-ONE_QP = {"damped": damped_stage, "slack": slack_stage}
-
-#: The damping of mink and pink, of the formulations that are one QP.
-DAMPING = 1e-12
+from prioritized_ik.validation import Array, fraction, non_negative, tolerance_above_rounding
 
 
 @dataclass(frozen=True)
@@ -47,18 +35,15 @@ class SolveOptions:
     """How to solve.
 
     Attributes:
-        formulation: `"lexicographic"`, exact; for comparison `"damped"`, what mink and pink do, and `"slack"`, the same
-            optimum without squaring J.
-        accuracy: asked of the solver, see `registry.get_backend`.
+        accuracy: asked of the solver, where a method is named and so is made for this solve, see `backends.registry`.
         rank_tolerance: singular values up to this fraction of the largest of a level's matrix count as zero; shared by
             closed form and QP. 0: only what is rounding, see `closed_form.level_decomposition`.
-        damping: of the damped and slack formulations, 1e-12 unless given, mink's and pink's own default.
+        damping: of the methods `damped` and `slack`, 1e-12 unless given, as in mink and pink; others refuse it.
         closed_form_first: whether a closed-form step that meets every row is the answer.
         polish: whether the solver's answer is made exact; its certificate is computed in any case.
         soften: names of hard bounds and rows that become the most important level instead, one of soft inequalities.
     """
 
-    formulation: str = "lexicographic"
     accuracy: float = ACCURACY
     rank_tolerance: float = 0.0
     damping: float | None = None
@@ -67,36 +52,19 @@ class SolveOptions:
     soften: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        one_of("formulation", self.formulation, FORMULATIONS)
         if self.damping is not None:
             non_negative("damping", self.damping)
-            if self.formulation not in ONE_QP:
-                raise InputError(
-                    f"damping is {self.damping!r}, but the {self.formulation} formulation has none; "
-                    "damp a level instead: Level(damping=…)."
-                )
         if non_negative("rank_tolerance", self.rank_tolerance):
             tolerance_above_rounding("rank_tolerance", self.rank_tolerance)
         fraction("accuracy", self.accuracy)
         object.__setattr__(self, "soften", tuple(self.soften))
 
 
-class ActiveSet:
-    """The kernel by itself: it starts from the rows of its last step, and calls no QP solver.
-
-    Attributes:
-        name: "active-set".
-    """
-
-    name = "active-set"
+class RowMemory:
+    """The rows that the last step rested on, by name: where the kernel starts from by itself."""
 
     def __init__(self) -> None:
         self._last: frozenset[str] = frozenset()
-
-    @property
-    def version(self) -> str:
-        """Version of this package."""
-        return importlib.metadata.version("prioritized-ik")
 
     def guess(self, hierarchy: Hierarchy) -> Active:
         """Return the rows `(r,)` that the last step rested on."""
@@ -107,125 +75,7 @@ class ActiveSet:
         self._last = frozenset(hierarchy.rows.names[i] for i in np.flatnonzero(active))
 
 
-Solver = AnyBackend | ActiveSet
-
-#: What steps are found with unless told otherwise.
-DEFAULT = ActiveSet.name
-
-
-def get_solver(name: str, accuracy: float = ACCURACY) -> Solver:
-    """Return the kernel by itself for "active-set", else the QP solver called `name` that makes its guesses.
-
-    Raises:
-        SolverUnavailableError: unknown, or not installed.
-    """
-    if name == ActiveSet.name:
-        return ActiveSet()
-    try:
-        return get_backend(name, accuracy)
-    except SolverUnavailableError as error:
-        raise SolverUnavailableError(f"{error} {ActiveSet.name!r} needs no QP solver.") from error
-
-
-def solve(problem: IKProblem, solver: str | Solver = DEFAULT, options: SolveOptions | None = None) -> JointStep:
-    """Return the joint step that is optimal at every level of `problem`.
-
-    Args:
-        problem: levels, bounds, rows, equalities and reference.
-        solver: "active-set", one of `known_solvers()`, or one from `get_solver`: those that start warm remember their last
-            step.
-        options: see `SolveOptions`.
-
-    Raises:
-        InputError: an argument of another kind.
-        SolverUnavailableError: unknown solver, or not installed.
-        InfeasibleError: no step keeps all hard rows; it names those in conflict.
-        StepNotFoundError: the solver failed or broke a row; the exception keeps the step's figures.
-    """
-    if not isinstance(problem, IKProblem):
-        raise InputError(f"problem is {_kind(problem)}; expected an IKProblem, with its levels and limits.")
-    if options is not None and not isinstance(options, SolveOptions):
-        raise InputError(f"options is {_kind(options)}; expected SolveOptions.")
-    if not isinstance(solver, str) and not (hasattr(solver, "name") and hasattr(solver, "version")):
-        raise InputError(
-            f"solver is {_kind(solver)}; expected a name such as {DEFAULT!r} or 'daqp', or what get_solver returned "
-            "(limits belong into the IKProblem, options into options=)."
-        )
-    options = options or SolveOptions()
-    found = get_solver(solver, options.accuracy) if isinstance(solver, str) else solver
-    step = joint_step(problem, found, options)
-    if step.conflict is not None:
-        raise InfeasibleError(str(step.conflict), step)
-    if step.dtheta is None:
-        raise StepNotFoundError(f"{found.name}: {step.status.value}. {step.message}".rstrip(), step)
-    return step
-
-
-def joint_step(problem: IKProblem, solver: Solver, options: SolveOptions) -> JointStep:
-    """Return the outcome of one solve as data: a failure is a status, not an exception. See `solve`."""
-    if options.soften:
-        problem, options = problem.softened(options.soften), replace(options, soften=())
-    if not any(level.damping and level.below == "free" for level in problem.levels):
-        return _undamped_step(problem, solver, options)
-    clock = _Clock()
-    aimed = handed_down(problem, lambda damped: _undamped_step(damped, solver, options))
-    if isinstance(aimed, JointStep):
-        return aimed
-    timings = clock.timings()
-    step = _undamped_step(aimed, solver, options)
-    if step.dtheta is not None:
-        step = replace(step, costs=tuple(level.cost(step.dtheta) for level in problem.levels))
-    return replace(step, timings=replace(step.timings, build=step.timings.build + timings.build))
-
-
-def _undamped_step(problem: IKProblem, solver: Solver, options: SolveOptions) -> JointStep:
-    """Return the outcome of one solve of a problem whose damping, if any, is rows."""
-    clock = _Clock()
-    hierarchy = Hierarchy(problem, options.rank_tolerance)
-    solution: Solution | None = None
-    if hierarchy.impossible:
-        return JointStep(None, StepStatus.INFEASIBLE, conflict=find_conflict(problem), timings=clock.timings())
-    if options.formulation in ONE_QP:
-        answer = _as_one_qp(problem, solver, clock, options)
-        timings = clock.timings()
-        options = replace(options, polish=False)
-    else:
-        if options.closed_form_first and _meets_every_row(hierarchy):
-            u, proof = hierarchy.closed_form, Proof(hierarchy, hierarchy.closed_form)
-            if not proof.certificate.holds:  # ill-conditioned: the kernel improves it
-                better = active_set.solve(hierarchy, np.zeros(len(hierarchy.rows.upper), dtype=bool), u)
-                u, proof = better.u, better.proof
-            return replace(_step(problem, hierarchy, u, proof, free=True), timings=clock.timings())
-        if isinstance(solver, ActiveSet):
-            answer = hierarchy.start
-            timings = clock.timings()
-            solution = _by_active_set(hierarchy, solver)
-        else:
-            answer = _fold(hierarchy, solver, clock)
-            timings = clock.timings()
-    step = _finished(problem, hierarchy, answer, options, solution)
-    spent = clock.timings()
-    return replace(
-        step,
-        timings=Timings(timings.build, spent.solve, spent.build - timings.build),
-        calls=clock.calls,
-    )
-
-
-def _kind(value: object) -> str:
-    return f"{value!r} ({type(value).__name__})" if len(repr(value)) < 60 else f"of type {type(value).__name__}"
-
-
-def first_stage(problem: IKProblem, options: SolveOptions | None = None) -> Stage:
-    """Return the first stage of `problem` to look at: its `problem` is a plain `qpsolvers.Problem`."""
-    options = options or SolveOptions()
-    if options.formulation in ONE_QP:
-        return _one_qp(problem, options)
-    state = FoldState.whole(Hierarchy(problem, options.rank_tolerance))
-    return level_stage(state) if problem.levels else reference_stage(state)
-
-
-class _Clock:
+class Clock:
     """Times one solve, from when this is made, and the backend's part of it."""
 
     def __init__(self) -> None:
@@ -246,9 +96,75 @@ class _Clock:
         return Timings(time.perf_counter() - self._started - self.seconds, self.seconds)
 
 
-def _takes_all_levels(backend: AnyBackend) -> bool:
-    """Whether this is a `WholeBackend`; asking by `isinstance` would take longer than a stage."""
-    return hasattr(backend, "solve_whole")
+#: Makes an answer to a problem, u `(m,)` in the joint metric, or the reason why there is none.
+Answer = Callable[[IKProblem, Hierarchy, Clock], Array | str]
+
+#: Where the kernel starts: rows of the last step, or somebody's answer.
+Start = RowMemory | Answer
+
+
+def joint_step(problem: IKProblem, start: Start, options: SolveOptions, method: str = "") -> JointStep:
+    """Return the outcome of one solve as data: a failure is a status, not an exception.
+
+    Args:
+        problem: see `solve.solve`.
+        start: rows that the kernel starts from, or what makes the answer that is its guess.
+        options: without `polish`, the answer is the step, and without `closed_form_first` it is always asked for.
+        method: name of who solves.
+    """
+    if options.soften:
+        problem, options = problem.softened(options.soften), replace(options, soften=())
+    if any(level.damping and level.below == "free" for level in problem.levels):
+        return replace(_damped_step(problem, start, options), method=method)
+    return replace(_undamped_step(problem, start, options), method=method)
+
+
+def _damped_step(problem: IKProblem, start: Start, options: SolveOptions) -> JointStep:
+    """Return the outcome of one solve of a problem with damped levels, whose optima are handed down."""
+    clock = Clock()
+    aimed = handed_down(problem, lambda damped: _undamped_step(damped, start, options))
+    if isinstance(aimed, JointStep):
+        return aimed
+    timings = clock.timings()
+    step = _undamped_step(aimed, start, options)
+    if step.dtheta is not None:
+        step = replace(step, costs=tuple(level.cost(step.dtheta) for level in problem.levels))
+    return replace(step, timings=replace(step.timings, build=step.timings.build + timings.build))
+
+
+def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions) -> JointStep:
+    """Return the outcome of one solve of a problem whose damping, if any, is rows."""
+    clock = Clock()
+    hierarchy = Hierarchy(problem, options.rank_tolerance)
+    solution: Solution | None = None
+    if hierarchy.impossible:
+        return JointStep(None, StepStatus.INFEASIBLE, conflict=find_conflict(problem), timings=clock.timings())
+    if options.closed_form_first and _meets_every_row(hierarchy):
+        u, proof = hierarchy.closed_form, Proof(hierarchy, hierarchy.closed_form)
+        if not proof.certificate.holds:  # ill-conditioned: the kernel improves it
+            better = active_set.solve(hierarchy, np.zeros(len(hierarchy.rows.upper), dtype=bool), u)
+            u, proof = better.u, better.proof
+        return replace(_step(problem, hierarchy, u, proof, free=True), timings=clock.timings())
+    answer: Array | str
+    if isinstance(start, RowMemory):
+        answer, timings = hierarchy.start, clock.timings()
+        solution = _by_active_set(hierarchy, start)
+    else:
+        answer = start(problem, hierarchy, clock)
+        timings = clock.timings()
+    step = _finished(problem, hierarchy, answer, options, solution)
+    spent = clock.timings()
+    return replace(
+        step,
+        timings=Timings(timings.build, spent.solve, spent.build - timings.build),
+        calls=clock.calls,
+    )
+
+
+def first_stage(problem: IKProblem, options: SolveOptions | None = None) -> Stage:
+    """Return the first stage of `problem` to look at: its `problem` is a plain `qpsolvers.Problem`."""
+    state = FoldState.whole(Hierarchy(problem, (options or SolveOptions()).rank_tolerance))
+    return level_stage(state) if problem.levels else reference_stage(state)
 
 
 def _meets_every_row(hierarchy: Hierarchy) -> bool:
@@ -258,16 +174,16 @@ def _meets_every_row(hierarchy: Hierarchy) -> bool:
     return bool((hierarchy.rows.slack(u) >= -allowed).all()) and hierarchy.problem.violation(u) <= allowed
 
 
-def _by_active_set(hierarchy: Hierarchy, solver: ActiveSet) -> Solution:
+def _by_active_set(hierarchy: Hierarchy, memory: RowMemory) -> Solution:
     """Return what the kernel makes of the rows of the last step; failing that, of a guess from nothing."""
-    guess = solver.guess(hierarchy)
+    guess = memory.guess(hierarchy)
     if guess.any():
         solution = active_set.solve(hierarchy, guess, hierarchy.start)
         if solution.converged:
-            solver.remember(hierarchy, solution.active)
+            memory.remember(hierarchy, solution.active)
             return solution
     solution = _from_nothing(hierarchy)
-    solver.remember(hierarchy, solution.active)
+    memory.remember(hierarchy, solution.active)
     return solution
 
 
@@ -287,19 +203,15 @@ def _from_nothing(hierarchy: Hierarchy) -> Solution:
     return first
 
 
-def _fold(hierarchy: Hierarchy, backend: AnyBackend, clock: _Clock) -> Array | str:
-    """Return the solver's u `(m,)`, in the joint metric, or why there is none."""
-    if _takes_all_levels(backend):
-        result = clock.timed(partial(cast(WholeBackend, backend).solve_whole, hierarchy))
-        return result.message if result.x is None else result.x
-    solver = cast(Backend, backend)
+def fold(backend: Backend, hierarchy: Hierarchy, clock: Clock) -> Array | str:
+    """Return a QP solver's u `(m,)`, in the joint metric, level by level, or why there is none."""
     state = FoldState.whole(hierarchy, SETTLED_FOR_SOLVERS)
     for level in hierarchy.problem.levels:
         stage = level_stage(state)
         if not stage.costed and not len(stage.row_ids):
             state = state.after(state.origin, stage.unfelt)
             continue
-        result = clock.timed(partial(solver.solve, stage))
+        result = clock.timed(partial(backend.solve, stage))
         if result.x is None:
             return f"level {level.name!r}: {result.message}"
         u = stage.dtheta(result.x)
@@ -309,26 +221,8 @@ def _fold(hierarchy: Hierarchy, backend: AnyBackend, clock: _Clock) -> Array | s
         if not free.shape[1]:
             return u
     stage = reference_stage(state)
-    result = clock.timed(partial(solver.solve, stage))
+    result = clock.timed(partial(backend.solve, stage))
     return f"last level: {result.message}" if result.x is None else stage.dtheta(result.x)
-
-
-def _as_one_qp(problem: IKProblem, backend: Solver, clock: _Clock, options: SolveOptions) -> Array | str:
-    """Return u `(m,)`, in the joint metric, of the one QP of a formulation that is one, or why there is none."""
-    formulation = options.formulation
-    if isinstance(backend, ActiveSet):
-        raise InputError(f"{backend.name} solves whole hierarchies; the {formulation} formulation needs a QP solver.")
-    if _takes_all_levels(backend):
-        raise InputError(
-            f"{backend.name} solves whole hierarchies; the {formulation} formulation needs a solver of single QPs."
-        )
-    if formulation == "slack" and abilities_of(backend.name).native:
-        raise InputError(
-            f"{backend.name} takes no equality rows; the slack formulation needs a solver called through qpsolvers."
-        )
-    stage = _one_qp(problem, options)
-    result = clock.timed(partial(cast(Backend, backend).solve, stage))
-    return result.message if result.x is None else stage.dtheta(result.x)
 
 
 def _finished(
@@ -375,16 +269,3 @@ def _step(
         levels=level_reports(hierarchy, u),
         zeros=hierarchy.zeros,
     )
-
-
-def _one_qp(problem: IKProblem, options: SolveOptions) -> Stage:
-    formulation = options.formulation
-    if len(problem.levels) != 1:
-        raise InputError(f"the {formulation} formulation takes one level, not {len(problem.levels)}; use 'lexicographic'.")
-    (level,) = problem.levels
-    if level.is_soft:
-        raise InputError(
-            f"the {formulation} formulation takes a level of kind 'equal', not 'at_most'; use 'lexicographic'."
-        )
-    damping = DAMPING if options.damping is None else options.damping
-    return ONE_QP[formulation](problem.in_metric, problem.in_metric.levels[0], damping)

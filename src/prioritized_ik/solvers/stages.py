@@ -40,7 +40,6 @@ class Stage:
         unfelt: orthonormal joint directions `(m, v - costed)` that the cost does not feel.
         place: its position in the fold over levels, from 0.
         row_ids: which of the hierarchy's pooled rows each row of G is `(r,)`.
-        as_it_stands: whether a backend must solve exactly this QP, once, with its default options.
         exceeded: of a soft level, which of the rows `(r,)` are exceeded at the variables x; None of another.
     """
 
@@ -50,7 +49,6 @@ class Stage:
     unfelt: Array
     place: int
     row_ids: NDArray[np.int_]
-    as_it_stands: bool = False
     exceeded: Callable[[Array], NDArray[np.bool_]] | None = None
 
     def dtheta(self, x: Array) -> Array:
@@ -176,8 +174,7 @@ def _soft_stage(level: Level, state: FoldState) -> Stage:
 def damped_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
     """Return the one QP that mink and pink would solve: min (b - A dθ)ᵀW(b - A dθ) + damping ‖dθ - r‖², in dθ itself.
 
-    A different problem from Eqs. (12) to (14), for comparison: it is not scaled, and is solved as it stands, with
-    the solver's default options.
+    A different problem from Eqs. (12) to (14), for comparison: it is not scaled.
     """
     m, rows, fixed = problem.joint_count, problem.inequalities, problem.equalities
     weighted = level.weights[:, None] * level.matrix
@@ -186,11 +183,11 @@ def damped_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
     matrix = np.vstack([rows.matrix, fixed.matrix, -fixed.matrix])
     upper = np.concatenate([rows.upper, fixed.target, -fixed.target])
     qp = qpsolvers.Problem(hessian, linear, *((matrix, upper) if len(upper) else (None, None)))
-    return Stage(qp, np.zeros(m), np.eye(m), np.zeros((m, 0)), 0, np.arange(len(upper)), as_it_stands=True)
+    return Stage(qp, np.zeros(m), np.eye(m), np.zeros((m, 0)), 0, np.arange(len(upper)))
 
 
 def slack_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
-    """Return the same optimum as a QP in x = (dθ, s): min sᵀWs + damping ‖dθ - r‖² with A dθ + s = b, solved as it stands.
+    """Return the same optimum as a QP in x = (dθ, s): min sᵀWs + damping ‖dθ - r‖² with A dθ + s = b.
 
     Where `damped_stage` squares A, here the Hessian is diagonal and A a row of the constraints: no digit is lost before the
     solver starts. Equalities are passed as such, A and b of the QP.
@@ -204,7 +201,7 @@ def slack_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
     sides = (np.hstack([rows.matrix, np.zeros((len(rows.upper), k))]), rows.upper) if len(rows.upper) else (None, None)
     qp = qpsolvers.Problem(hessian, linear, *sides, matrix, target)
     basis = np.eye(m, m + k)
-    return Stage(qp, np.zeros(m), basis, np.zeros((m, 0)), 0, np.arange(len(rows.upper)), as_it_stands=True)
+    return Stage(qp, np.zeros(m), basis, np.zeros((m, 0)), 0, np.arange(len(rows.upper)))
 
 
 def _scaled_stage(state: FoldState, felt: Array, unfelt: Array, target: Array, unit: float, far: float) -> Stage:

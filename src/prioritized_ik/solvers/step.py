@@ -57,6 +57,7 @@ class JointStep:
         conflict: of an infeasible problem, the rows that contradict each other.
         levels: how each `equal` level was cut to its rank, and what that left undone.
         zeros: names of rows that were taken for zero, because they are rounding.
+        method: name of the method that made it.
     """
 
     dtheta: Array | None
@@ -74,6 +75,7 @@ class JointStep:
     conflict: Conflict | None = None
     levels: tuple[LevelReport, ...] = ()
     zeros: tuple[str, ...] = ()
+    method: str = ""
 
     def __str__(self) -> str:
         """Return the step's story in a few lines."""

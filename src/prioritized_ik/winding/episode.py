@@ -17,16 +17,15 @@ from prioritized_ik.errors import EpisodeFileError, InputError
 from prioritized_ik.files import UNREADABLE, write_whole
 from prioritized_ik.limits import contact_row_name
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
-from prioritized_ik.solvers.hierarchy import strict_solution
-from prioritized_ik.solvers.lexicographic import get_solver, joint_step
+from prioritized_ik.solvers.methods import Method, Place
+from prioritized_ik.solvers.registry import get_method
+from prioritized_ik.solvers.solve import step_of
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.validation import Array, read_only
 from prioritized_ik.winding.controller import Equilibrium, WindingController, levels_of
-from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
+from prioritized_ik.winding.settings import WindingSettings
 
-FORMAT = "prioritized-ik episode 3"
-
-Solve = Callable[[IKProblem, Array], JointStep]  # the problem, and the joint positions it was posed at
+FORMAT = "prioritized-ik episode 4"
 
 
 class Outcome(Enum):
@@ -187,19 +186,21 @@ class Episode:
 _ARRAYS = [item.name for item in fields(Episode) if item.name not in ("settings", "outcome", "message")]
 
 
-def wind(settings: WindingSettings, solve: Solve | None = None, on_step: Callable[[int], object] | None = None) -> Episode:
+def wind(
+    settings: WindingSettings, method: Method | None = None, on_step: Callable[[int], object] | None = None
+) -> Episode:
     """Return the episode of an arm that winds until equilibrium, a failed step, or `max_steps`.
 
     Args:
         settings: everything that decides it.
-        solve: what turns a problem into a step, instead of `settings.solver`.
+        method: finds the steps, instead of the one that `settings.solver` names.
         on_step: called after each step, with how many there are.
 
     Raises:
         SolverUnavailableError: the solver is unknown or not installed.
         InputError: the initial posture is outside the joint ranges.
     """
-    solve = solve or _solve_of(settings)
+    method = method or get_method(settings.solver, settings.options.accuracy)
     controller = WindingController(settings)
     n, m = settings.arm.links, settings.arm.joint_count
     q, in_contact = settings.initial_posture(), np.zeros(n, dtype=bool)
@@ -226,7 +227,7 @@ def wind(settings: WindingSettings, solve: Solve | None = None, on_step: Callabl
         if len(steps) == settings.max_steps:
             break
         problem = controller.problem(q, situation)
-        step = solve(problem, q)
+        step = step_of(method, problem, settings.options, Place(q, settings))
         steps.append(_record(problem, step, n))
         if on_step is not None:
             on_step(len(steps))
@@ -248,18 +249,6 @@ def wind(settings: WindingSettings, solve: Solve | None = None, on_step: Callabl
 def replay(episode: Episode) -> Episode:
     """Return the episode wound anew from the same settings: the same bits, timings aside."""
     return wind(episode.settings)
-
-
-def _solve_of(settings: WindingSettings) -> Solve:
-    if settings.solver == CLOSED_FORM:
-        return lambda problem, _: _closed_form_step(problem, settings.options.rank_tolerance)
-    solver = get_solver(settings.solver, settings.options.accuracy)
-    return lambda problem, _: joint_step(problem, solver, settings.options)
-
-
-def _closed_form_step(problem: IKProblem, rank_tolerance: float) -> JointStep:
-    dtheta = strict_solution(problem.levels, problem.reference, rank_tolerance)
-    return JointStep(dtheta, StepStatus.CLOSED_FORM, costs=tuple(level.cost(dtheta) for level in problem.levels))
 
 
 def _record(problem: IKProblem, step: JointStep, links: int) -> dict[str, Any]:

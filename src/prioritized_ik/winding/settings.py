@@ -18,11 +18,13 @@ from prioritized_ik.models import (
 )
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.methods import ClosedForm
+from prioritized_ik.solvers.registry import DEFAULT
 from prioritized_ik.validation import Array, at_least, non_negative, one_of, positive
 from prioritized_ik.weights import KINDS
 from prioritized_ik.winding.plan import DEAD_BAND
 
-CLOSED_FORM = "closed-form"  # the "solver" that is Eqs. (12) to (14) alone: no limits, no contact rows
+CLOSED_FORM = ClosedForm.name
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class WindingSettings:
         contact_gain: how much of the gap one step may close. At 1 the curvature of large steps lets links break through
             by 10 mm; at 0.5 they stay out.
         max_steps: an episode without equilibrium ends after this many.
-        solver: `"active-set"`, one of `known_solvers()`, or `"closed-form"`.
+        solver: name of the method, see `registry.get_method`.
         options: how to solve; the rank is cut at 1e-4, see `closed_form.RANK_TOLERANCE`.
     """
 
@@ -77,7 +79,7 @@ class WindingSettings:
     min_distance: float = 1e-3
     contact_gain: float = 0.5
     max_steps: int = 1500
-    solver: str = "daqp"
+    solver: str = DEFAULT
     options: SolveOptions = field(default_factory=lambda: SolveOptions(rank_tolerance=RANK_TOLERANCE))
 
     def __post_init__(self) -> None:

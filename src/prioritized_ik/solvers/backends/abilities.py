@@ -165,7 +165,6 @@ def _proxqp_warm(accuracy: float) -> Options:
 
 #: Solvers through their own interfaces, see `native`. What is not stated is as through qpsolvers.
 NATIVE: dict[str, Abilities] = {
-    "daqp-hierarchy": replace(ABILITIES["daqp"], module="daqp", semidefinite=True, zooms=(), on_request=True),
     # Without a zoom, which costs half as much again: one solve finds the tight rows, and the polish does the rest.
     "daqp-warm": replace(ABILITIES["daqp"], module="daqp", warm_start=True, zooms=()),
     "osqp-warm": replace(ABILITIES["osqp"], module="osqp", warm_start=True),

@@ -170,26 +170,36 @@ class NativeBackend:
         return importlib.metadata.version(self.abilities.package)
 
     def solve(self, stage: Stage) -> StageResult:
-        """See `Backend.solve`. A stage to be solved as it stands starts from nothing and leaves nothing behind.
+        """See `Backend.solve`.
 
         Raises:
             InputError: another thread's call is under way.
         """
+        return self._alone(lambda: self._solve(stage))
+
+    def solve_once(self, stage: Stage) -> StageResult:
+        """See `Backend.solve_once`. It leaves nothing behind.
+
+        Raises:
+            InputError: another thread's call is under way.
+        """
+        return self._alone(lambda: self._attempt(lambda: self._solve_as_it_stands(stage)))
+
+    def _alone(self, solve: Callable[[], StageResult]) -> StageResult:
+        """Return what `solve` makes of a stage, if no other call is under way."""
         process, call = os.getpid(), object()
         try:
             if self._users.setdefault(process, call) is not call:  # one step, so that no two threads get through
-                raise InputError(f"backend {self.name} is in use by another thread; make one a thread with get_backend.")
+                raise InputError(f"backend {self.name} is in use by another thread; make one a thread.")
             if process != self._process:
                 self._process, self._memories = process, {}
-            return self._solve(stage)
+            self._calls = self.iterations = 0
+            return solve()
         finally:
             if self._users.get(process) is call:
                 del self._users[process]
 
     def _solve(self, stage: Stage) -> StageResult:
-        self._calls = self.iterations = 0
-        if stage.as_it_stands:
-            return self._attempt(lambda: self._solve_as_it_stands(stage))
         memory = self._memories.pop(stage.place, None)  # what follows puts it back, unless it fails
         first = self._attempt(lambda: self._solve_from(stage, memory))
         if first.x is not None:

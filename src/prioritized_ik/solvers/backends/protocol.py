@@ -1,9 +1,8 @@
 """What every backend offers: the answer to one stage."""
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
-from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.validation import Array
 
@@ -47,24 +46,6 @@ class Backend(Protocol):
         """Return the optimum of `stage`, or a result without x that says what went wrong. Never raises for a failure."""
         ...
 
-
-@runtime_checkable
-class WholeBackend(Protocol):
-    """A solver of hierarchies, which is handed all levels at once."""
-
-    @property
-    def name(self) -> str:
-        """What the registry calls it."""
+    def solve_once(self, stage: Stage) -> StageResult:
+        """Return what one call makes of exactly the QP of `stage`, with the solver's default options, from nothing."""
         ...
-
-    @property
-    def version(self) -> str:
-        """Version of the solver."""
-        ...
-
-    def solve_whole(self, hierarchy: Hierarchy) -> StageResult:
-        """Return the joint step `(m,)` as x, or a result without x that says what went wrong. Never raises for it."""
-        ...
-
-
-AnyBackend = Backend | WholeBackend

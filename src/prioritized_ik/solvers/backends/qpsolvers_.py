@@ -72,8 +72,9 @@ class _Silence:
         self._end()
 
 
-_silence = _Silence()
-os.register_at_fork(after_in_child=_silence.after_fork)
+#: What solvers warn of is kept inside; their answers are judged by figures.
+silence = _Silence()
+os.register_at_fork(after_in_child=silence.after_fork)
 
 
 class _Calls:
@@ -134,14 +135,16 @@ class QpsolversBackend:
 
     def solve(self, stage: Stage) -> StageResult:
         """See `Backend.solve`. Where the accuracy asked for is out of reach, a looser one and a larger shift are tried."""
-        if stage.as_it_stands:
-            return self._attempt(stage, {})
         first = self._solve_exactly(stage)
         if first.x is not None:
             return first
         second = self._solve_exactly(stage, again=True)
         message = first.message if second.x is None else ""
         return replace(second, message=message, calls=first.calls + second.calls)
+
+    def solve_once(self, stage: Stage) -> StageResult:
+        """See `Backend.solve_once`."""
+        return self._attempt(stage, {})
 
     def _solve_exactly(self, stage: Stage, *, again: bool = False) -> StageResult:
         options, shift = self.abilities.options(self.accuracy), self.abilities.shift
@@ -169,7 +172,7 @@ class QpsolversBackend:
         if self.abilities.sparse:
             problem = _as_sparse(problem)
         try:
-            with _silence.kept():  # solvers warn about inaccuracy; what they found is judged by its figures
+            with silence.kept():  # solvers warn about inaccuracy; what they found is judged by its figures
                 solution = qpsolvers.solve_problem(problem, solver=self.name, **options)
         except SOLVER_ERRORS as error:
             raise SolverFailedError(f"{self.name} raised {type(error).__name__}: {error}") from error

@@ -1,8 +1,7 @@
-"""Which backends there are, and how to get one by name."""
+"""Which QP solvers there are, and how to get one by name. How a step is made of one, `solvers.registry` tells."""
 
 import difflib
 import importlib.util
-from collections.abc import Callable
 from numbers import Real
 
 import qpsolvers
@@ -10,39 +9,27 @@ import qpsolvers
 from prioritized_ik.errors import InputError, SolverUnavailableError
 from prioritized_ik.solvers.backends.abilities import ABILITIES, NATIVE, abilities_of
 from prioritized_ik.solvers.backends.native import NativeBackend, Workspace
-from prioritized_ik.solvers.backends.protocol import AnyBackend
+from prioritized_ik.solvers.backends.protocol import Backend
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
 from prioritized_ik.validation import fraction
 
 #: Accuracy asked of a solver unless told otherwise, in the stages' scaled variables.
 ACCURACY = 1e-8
 
-_factories: dict[str, Callable[[float], AnyBackend]] = {}
-
-
-def register(name: str, factory: Callable[[float], AnyBackend]) -> None:
-    """Add a backend: `factory(accuracy)` makes one. A name can be registered again, and the last one counts."""
-    _factories[name] = factory
-
-
-def registered() -> dict[str, Callable[[float], AnyBackend]]:
-    """Return the factories of the backends that were added, by name."""
-    return dict(_factories)
-
 
 def known_solvers() -> list[str]:
-    """Return the names of every solver this package knows, installed or not."""
-    return sorted({*ABILITIES, *NATIVE, *qpsolvers.available_solvers, *_factories})
+    """Return the names of every QP solver this package knows, installed or not."""
+    return sorted({*ABILITIES, *NATIVE, *qpsolvers.available_solvers})
 
 
 def installed_solvers(*, on_request: bool = False) -> list[str]:
-    """Return the names of the solvers that can run here; those that run only on request too if `on_request`."""
+    """Return the names of the QP solvers that can run here; those that run only on request too if `on_request`."""
     native = (name for name in NATIVE if _is_installed(name))
-    names = sorted({*qpsolvers.available_solvers, *native, *_factories})
-    return [name for name in names if on_request or name in _factories or not abilities_of(name).on_request]
+    names = sorted({*qpsolvers.available_solvers, *native})
+    return [name for name in names if on_request or not abilities_of(name).on_request]
 
 
-def get_backend(name: str, accuracy: float = ACCURACY, *, refine: bool = True) -> AnyBackend:
+def get_backend(name: str, accuracy: float = ACCURACY, *, refine: bool = True) -> Backend:
     """Return the backend called `name`.
 
     A backend is for one thread; make one for each. It can be copied and pickled, also once used, and a copy starts from
@@ -59,16 +46,9 @@ def get_backend(name: str, accuracy: float = ACCURACY, *, refine: bool = True) -
     """
     if not isinstance(name, str):
         raise InputError(f"solver is {name!r}; expected a name, one of: {_installed()}.")
-    if not isinstance(accuracy, Real) or isinstance(accuracy, int):  # a text, or whole and maybe too large for a float
-        raise InputError(f"accuracy is {accuracy!r}; expected a number above 0 and below 1.")
-    accuracy = fraction("accuracy", accuracy)
-    if name in _factories:
-        return _factories[name](accuracy)
     if name not in known_solvers():
         raise SolverUnavailableError(f"unknown solver {name!r}; {_guess(name)}choose one of: {_installed()}.")
-    finest = abilities_of(name).finest
-    if accuracy < finest:
-        raise InputError(f"accuracy is {accuracy:g}, finer than {name} reaches; expected at least {finest:g}.")
+    accuracy = checked_accuracy(accuracy, name)
     if name in qpsolvers.available_solvers:
         return QpsolversBackend(name, accuracy, refine=refine)
     if name in NATIVE and _is_installed(name):
@@ -77,6 +57,21 @@ def get_backend(name: str, accuracy: float = ACCURACY, *, refine: bool = True) -
     raise SolverUnavailableError(
         f"solver {name!r} is not installed; install it with: pip install {package} (installed: {_installed()})."
     )
+
+
+def checked_accuracy(accuracy: float, name: str | None = None) -> float:
+    """Return an accuracy, that of solver `name` if given.
+
+    Raises:
+        InputError: it is no number, out of range, or finer than the solver reaches.
+    """
+    if not isinstance(accuracy, Real) or isinstance(accuracy, int):  # a text, or whole and maybe too large for a float
+        raise InputError(f"accuracy is {accuracy!r}; expected a number above 0 and below 1.")
+    accuracy = fraction("accuracy", accuracy)
+    finest = 0.0 if name is None else abilities_of(name).finest
+    if accuracy < finest:
+        raise InputError(f"accuracy is {accuracy:g}, finer than {name} reaches; expected at least {finest:g}.")
+    return accuracy
 
 
 def _installed() -> str:
@@ -95,14 +90,10 @@ def _is_installed(name: str) -> bool:
     return importlib.util.find_spec(NATIVE[name].module) is not None
 
 
-def _native(name: str, accuracy: float, *, refine: bool) -> AnyBackend:
+def _native(name: str, accuracy: float, *, refine: bool) -> Backend:
     """Return native backend `name`. Its module imports its solver, so it waits until now."""
     workspace: type[Workspace]
     match name:
-        case "daqp-hierarchy":
-            from prioritized_ik.solvers.backends.daqp_hierarchy_ import DaqpHierarchyBackend
-
-            return DaqpHierarchyBackend(name, accuracy)
         case "daqp-warm":
             from prioritized_ik.solvers.backends.daqp_ import DaqpWorkspace as workspace
         case "osqp-warm":

@@ -18,7 +18,7 @@ flag 3 stands for a level that failed, with the answer to those above it, as wel
 
 import importlib.metadata
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import daqp
 import numpy as np
@@ -28,6 +28,8 @@ from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.protocol import SolverFailedError, StageResult
 from prioritized_ik.solvers.backends.qpsolvers_ import SOLVER_ERRORS
 from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy
+from prioritized_ik.solvers.lexicographic import Clock
+from prioritized_ik.solvers.methods import Guessing
 from prioritized_ik.validation import Array
 
 SOLVED = (1, 2)  # exit flags: all rows kept; soft rows exceeded
@@ -81,25 +83,30 @@ class LevelRows:
         return LevelRows(rows, lower, upper, np.unique(ends).astype(np.intc), target, basis)
 
 
-class DaqpHierarchyBackend:
-    """DAQP with break points, started cold.
+class DaqpHierarchy(Guessing):
+    """DAQP with break points, started cold, makes the kernel's guess.
 
     Attributes:
-        name: what the registry calls it.
         accuracy: asked of the solver, in the levels' scaled variables.
     """
 
-    def __init__(self, name: str, accuracy: float) -> None:
-        self.name = name
+    name = "daqp-hierarchy"
+
+    def __init__(self, accuracy: float) -> None:
         self.accuracy = accuracy
 
     @cached_property
     def version(self) -> str:
         """Version of the solver's package."""
-        return importlib.metadata.version(abilities_of(self.name).package)
+        return importlib.metadata.version(abilities_of("daqp").package)
+
+    def guess(self, hierarchy: Hierarchy, clock: Clock) -> Array | str:
+        """See `Guessing.guess`."""
+        result = clock.timed(partial(self.solve_whole, hierarchy))
+        return result.message if result.x is None else result.x
 
     def solve_whole(self, hierarchy: Hierarchy) -> StageResult:
-        """See `WholeBackend.solve_whole`."""
+        """Return the joint step `(m,)`, in the joint metric, as x, or a result without x that says what went wrong."""
         if not hierarchy.free.shape[1]:
             return StageResult(hierarchy.start, calls=0)
         levels, message = LevelRows.of(hierarchy), ""
