@@ -303,7 +303,7 @@ class Proof:
         self._leak[first] = gap / multipliers[first]
         loosened = 0.0  # how far dθ may go until rows that carry a multiplier are tight; the last level's gap tells
         if number is not None:
-            loosened = self._loosened(near[counts & ~back], shortfall.felt.unfelt, free)
+            loosened = self._loosened(near[counts & ~back], shortfall.felt, free)
         # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
         off = self._off * (1.0 + follows)
         above = max(self._above, off)
@@ -328,21 +328,24 @@ class Proof:
             self.tolerance,
         )
 
-    def _loosened(self, carrying: NDArray[np.int_], unfelt: Array, free: Array) -> float:
+    def _loosened(self, carrying: NDArray[np.int_], range_: Range, free: Array) -> float:
         """Return how far the step may go until the `carrying` rows are tight, one after the other or all together.
 
-        Along what the level does not feel, but for rows that this does not move.
+        Along what the level does not feel, but for rows that this does not move; or where the level's cost rises least.
         """
         rows, slack = self._hierarchy.rows, np.abs(self.slack[carrying])
-        moves = rows.reach(carrying, unfelt) > self._hierarchy.settled
-        far = 0.0
-        for among, directions in ((moves, unfelt), (~moves, free)):
+        real = np.where(slack > ROUNDING * self.scale, slack, 0.0)
+        moves = rows.reach(carrying, range_.unfelt) > self._hierarchy.settled
+        far, moved = 0.0, 0.0
+        for among, way in ((moves, range_.unfelt), (~moves, free)):
             if among.any():
-                normals = rows.matrix[carrying[among]] @ directions
+                normals = rows.matrix[carrying[among]] @ way
                 apart = float((slack[among] / lengths(normals)).sum())
-                real = np.where(slack[among] > ROUNDING * self.scale, slack[among], 0.0)
-                far += max(apart, float(np.linalg.norm(np.linalg.lstsq(normals, real, rcond=DEPENDENT)[0])))
-        return far
+                far += max(apart, float(np.linalg.norm(np.linalg.lstsq(normals, real[among], rcond=DEPENDENT)[0])))
+        if real.any():
+            basis, _ = _whitened(range_)
+            moved = length(basis @ np.linalg.lstsq(rows.matrix[carrying] @ basis, real, rcond=DEPENDENT)[0])
+        return max(far, moved)
 
     def _looked(
         self,
@@ -354,12 +357,9 @@ class Proof:
         number: int | None,
     ) -> "_Look":
         """Return how far rows balance a level's gradient: in double precision, where that cannot tell in extended."""
-        felt, unfelt = shortfall.felt.felt, shortfall.felt.unfelt
-        felt_lengths = lengths(felt.T)
-        strongest = max(felt_lengths, default=0.0)
-        unfelt_lengths = np.full(unfelt.shape[1], min(felt_lengths, default=1.0) / UNFELT)
-        sizes = np.concatenate([felt_lengths, unfelt_lengths])
-        basis = np.hstack([felt, unfelt * unfelt_lengths])
+        felt = shortfall.felt.felt
+        basis, sizes = _whitened(shortfall.felt)
+        strongest, unfelt_lengths = max(sizes[: felt.shape[1]], default=0.0), sizes[felt.shape[1] :]
         gradient = np.concatenate([shortfall.gradient, np.zeros_like(unfelt_lengths)])
         # What a level does not feel is zero, and not rounding.
         terms = np.concatenate([shortfall.terms + shortfall.leak * strongest, shortfall.leak * unfelt_lengths])
@@ -389,6 +389,13 @@ class Proof:
         """Return a level as it is solved: where the rank tolerance cuts more than rounding, without what it cuts."""
         cut = self._hierarchy.rank_tolerance and number is not None
         return self._hierarchy.cut_problem.levels[number] if cut and number is not None else level
+
+
+def _whitened(range_: Range) -> tuple[Array, Array]:
+    """Return directions `(m, v)` in which a level's cost is ‖·‖², those it does not feel at `UNFELT`, and their lengths."""
+    felt_lengths = lengths(range_.felt.T)
+    unfelt_lengths = np.full(range_.unfelt.shape[1], min(felt_lengths, default=1.0) / UNFELT)
+    return np.hstack([range_.felt, range_.unfelt * unfelt_lengths]), np.concatenate([felt_lengths, unfelt_lengths])
 
 
 @dataclass(frozen=True)
