@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.files import UNREADABLE, write_whole
+from prioritized_ik.files import UNREADABLE, advising, write_whole
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 
 FORMAT = "prioritized-ik problem 2"
@@ -50,10 +50,8 @@ def save_problem(problem: IKProblem, path: str | Path) -> None:
         InputError: it cannot be written.
     """
     content = problem_bytes(problem)
-    try:
+    with advising("write", path):
         write_whole(path, lambda file: file.write(content))
-    except OSError as error:
-        raise InputError(f"cannot write {str(path)!r} ({error}); choose a place that is writable.") from error
 
 
 def load_problem(path: str | Path) -> IKProblem:

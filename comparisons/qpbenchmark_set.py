@@ -21,7 +21,7 @@ import numpy as np
 import polars
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.files import write_whole
+from prioritized_ik.files import advising, write_whole
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.backends.protocol import Backend, StageResult
 from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
@@ -148,14 +148,12 @@ def write_test_set(folder: Path, stages: Iterable[NamedStage]) -> dict[str, int]
     for subset, items in sorted_out.items():
         if not items:
             raise InputError(f"there is no problem for {subset.module}; expected episodes with at least one feasible step.")
-    try:
+    with advising("write into", folder):
         folder.mkdir(parents=True, exist_ok=True)
         for subset, items in sorted_out.items():
             write_whole(folder / f"{subset.module}.parquet", _table(items).write_parquet)
             text = _test_set_file(subset).encode("utf-8")
             write_whole(folder / f"{subset.module}.py", lambda file, text=text: file.write(text))  # type: ignore[misc]
-    except OSError as error:
-        raise InputError(f"cannot write into {str(folder)!r} ({error}); choose a folder that is writable.") from error
     return {subset.module: len(items) for subset, items in sorted_out.items()}
 
 

@@ -14,8 +14,7 @@ from comparisons.report import markdown
 from comparisons.settings import ComparisonSettings
 from comparisons.store import Store
 from comparisons.summary import Row
-from prioritized_ik.errors import InputError
-from prioritized_ik.files import write_whole
+from prioritized_ik.files import advising, write_whole
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
@@ -64,10 +63,8 @@ def _stated(settings: ComparisonSettings) -> dict[str, Any]:
 
 
 def _write(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    try:
+    with advising("write", path):
         write_whole(path, write)
-    except OSError as error:
-        raise InputError(f"cannot write {str(path)!r} ({error}); choose a place that is writable.") from error
 
 
 def _write_text(path: Path, text: str) -> None:

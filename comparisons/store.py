@@ -28,7 +28,7 @@ from comparisons.cases import Case, file_name
 from comparisons.compared import compared
 from comparisons.tables import EPISODES, JOB, ORIGIN, QPS, STEPS, Schema
 from prioritized_ik.errors import InputError
-from prioritized_ik.files import write_whole
+from prioritized_ik.files import advising, write_whole
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.winding.episode import Episode
 
@@ -80,13 +80,11 @@ class Store:
                     f"{str(folder)!r} holds results of a run with other settings: {'; '.join(differences)}. "
                     "Choose another folder, or start over with --fresh."
                 )
-        try:
+        with advising("write into", folder):
             for name in FOLDERS:
                 (folder / name).mkdir(parents=True, exist_ok=True)
                 for left in (folder / name).glob(".*.part"):  # by a run that was killed
                     left.unlink()
-        except OSError as error:
-            raise InputError(f"cannot write into {str(folder)!r} ({error}); choose a place that is writable.") from error
         text = json.dumps({"made_by": made_by, "facts": facts}, indent=1, ensure_ascii=False, default=str)
         store.write_file(SETTINGS, lambda file: file.write(text.encode()))
         return store
@@ -103,15 +101,13 @@ class Store:
         if not (folder / SETTINGS).exists():
             return
         Store(folder)._settings()
-        try:
+        with advising("delete the results in", folder, advice="choose another folder"):
             for name in MADE_OF_IT:
                 (folder / name).unlink(missing_ok=True)
             for name in FOLDERS:
                 if (folder / name).exists():
                     shutil.rmtree(folder / name)
             (folder / SETTINGS).unlink()
-        except OSError as error:
-            raise InputError(f"cannot delete the results in {str(folder)!r} ({error}); choose another folder.") from error
 
     def facts(self) -> dict[str, Any]:
         """Return versions, processor, settings, git revision: what was known when it was made."""
@@ -181,12 +177,8 @@ class Store:
         Raises:
             InputError: it cannot be written.
         """
-        try:
+        with advising("write", self.folder / name):
             write_whole(self.folder / name, write)
-        except OSError as error:
-            raise InputError(
-                f"cannot write {str(self.folder / name)!r} ({error}); choose a place that is writable."
-            ) from error
 
     def digest(self) -> str:
         """Return the beginning of the SHA-256 of what made the folder."""

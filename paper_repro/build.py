@@ -8,8 +8,7 @@ from paper_repro.figure import KINDS, write_figure
 from paper_repro.jobs import Progress, Results, run
 from paper_repro.report import write_report
 from paper_repro.table import Table
-from prioritized_ik.errors import InputError
-from prioritized_ik.files import write_whole
+from prioritized_ik.files import advising, write_whole
 
 ANSWERS = "answers"  # folder of what jobs gave
 
@@ -23,12 +22,10 @@ def build(artefacts: list[Artefact], out: Path, scale: Scale, workers: int, prog
     Raises:
         InputError: `out` is not writable.
     """
-    try:
+    with advising("write into", out, advice="choose a folder that is writable"):
         results = run((job for artefact in artefacts for job in artefact.jobs(scale)), out / ANSWERS, workers, progress)
         written = [path for artefact in artefacts for path in write(artefact, out, scale, results)]
         return [*written, *write_report(by_chapter(), out, scale)]
-    except OSError as error:
-        raise InputError(f"cannot write into {str(out)!r} ({error}); choose a folder that is writable.") from error
 
 
 def write(artefact: Artefact, out: Path, scale: Scale, results: Results) -> list[Path]:

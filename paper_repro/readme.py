@@ -6,7 +6,7 @@ from pathlib import Path
 from paper_repro.artefact import Scale
 from paper_repro.catalogue import chosen
 from prioritized_ik.errors import InputError
-from prioritized_ik.files import write_whole
+from prioritized_ik.files import advising, write_whole
 
 MARKED = re.compile(r"(<!-- paper: (?P<name>[a-z0-9-]+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 
@@ -41,7 +41,5 @@ def fill(file: Path, out: Path, scale: Scale) -> None:
         _, bar, body = text.partition("\n|")
         tables[artefact.name] = bar[1:] + body.rstrip() + "\n"
     text = MARKED.sub(lambda match: match[1] + tables[match["name"]] + match[3], file.read_text(encoding="utf-8"))
-    try:
+    with advising("write", file):
         write_whole(file, lambda handle: handle.write(text.encode("utf-8")))
-    except OSError as error:
-        raise InputError(f"cannot write {str(file)!r} ({error}).") from error

@@ -23,8 +23,7 @@ from comparisons.page.series import answers_of
 from comparisons.page.source import Source
 from comparisons.page.verdicts import finding, verdicts
 from comparisons.summary import Row
-from prioritized_ik.errors import InputError
-from prioritized_ik.files import write_whole
+from prioritized_ik.files import advising, write_whole
 
 NAME = "report.html"
 
@@ -46,10 +45,8 @@ def write_page(folder: Path, store: Source, rows: list[Row]) -> Path:
     """
     content = page(data(store, rows)).encode("utf-8")
     target = folder / NAME
-    try:
+    with advising("write", target):
         write_whole(target, lambda file: file.write(content))
-    except OSError as error:
-        raise InputError(f"cannot write {str(target)!r} ({error}); choose a folder that is writable.") from error
     return target
 
 

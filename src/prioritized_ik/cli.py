@@ -176,12 +176,10 @@ def made_folder(folder: Path) -> Path:
     Raises:
         PrioritizedIkError: it cannot be made, or files cannot be written into it.
     """
-    from prioritized_ik.errors import InputError
+    from prioritized_ik.files import advising
 
-    try:
+    with advising("write into", folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write into {str(folder)!r} ({error}); choose a place that is writable.") from error
     return writable_folder(folder)
 
 

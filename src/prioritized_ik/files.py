@@ -2,9 +2,12 @@
 
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
+
+from prioritized_ik.errors import InputError, PrioritizedIkError
 
 #: What NumPy and zipfile raise on `.npz` files that hold something else, or are damaged.
 UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error)
@@ -24,3 +27,21 @@ def write_whole(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
         part.replace(target)
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def advising(
+    what: str,
+    place: str | Path,
+    kind: type[PrioritizedIkError] = InputError,
+    advice: str = "choose a place that is writable",
+) -> Iterator[None]:
+    """Turn what the system refuses inside into one message: cannot `what` `place`, why, and `advice`.
+
+    Raises:
+        PrioritizedIkError: of that `kind`; the system refused.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"cannot {what} {str(place)!r} ({error}); {advice}.") from error

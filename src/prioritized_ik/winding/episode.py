@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.errors import EpisodeFileError, InputError
-from prioritized_ik.files import UNREADABLE, write_whole
+from prioritized_ik.files import UNREADABLE, advising, write_whole
 from prioritized_ik.limits import contact_row_name
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
 from prioritized_ik.solvers.methods import Method, Place
@@ -119,12 +119,8 @@ class Episode:
         Raises:
             EpisodeFileError: it cannot be written.
         """
-        try:
+        with advising("write the episode to", path, EpisodeFileError, "choose a folder that exists and is writable"):
             write_whole(path, self.write)
-        except OSError as error:
-            raise EpisodeFileError(
-                f"cannot write the episode to {str(path)!r} ({error}); choose a folder that exists and is writable."
-            ) from error
 
     def write(self, file: BinaryIO) -> None:
         """Write into an open file what `save` writes."""

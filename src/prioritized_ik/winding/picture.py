@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.files import write_whole
+from prioritized_ik.files import advising, write_whole
 from prioritized_ik.models import WindingObject, update_kinematics
 from prioritized_ik.validation import Array, one_of
 from prioritized_ik.winding.episode import Episode
@@ -146,10 +146,8 @@ def record(episode: Episode, path: str | Path) -> None:
             f"cannot render here ({error}); without a display set MUJOCO_GL=egl (Debian: libegl1 and libgl1-mesa-dri)."
         ) from error
     rest = {"save_all": kind == ".gif", "append_images": pictures[1:], "duration": FRAME_MILLISECONDS, "loop": 0}
-    try:
+    with advising("write", path):
         write_whole(path, lambda file: pictures[0].save(file, kind[1:], **rest))
-    except OSError as error:
-        raise InputError(f"cannot write {str(path)!r} ({error}); choose a place that is writable.") from error
 
 
 def _cut_to_view(wound: WindingObject, shown_length: float) -> WindingObject:
