@@ -6,6 +6,7 @@ and compares it with a displacement, so its gain is multiplied by the time step 
 """
 
 import time
+from collections.abc import Callable
 
 import mink
 import mujoco
@@ -44,19 +45,29 @@ class MinkSolver:
             ),
         ]
 
-    def __call__(self, problem: IKProblem, q: Array) -> JointStep:
-        """Return mink's step for the one-level `problem` posed at joint positions `q`."""
+    def posed(self, problem: IKProblem, q: Array) -> Callable[[], Array]:
+        """Return what asks mink for its step dθ `(m,)` of the one-level `problem` posed at joint positions `q`."""
         level = problem.levels[0]
         desired = level.target.reshape(-1, 3)
         costs = np.sqrt(level.weights.reshape(-1, 3))
-        started = time.perf_counter()
         self._configuration.update(q)
         tasks = [self._task(end, dx, cost) for end, dx, cost in zip(self._ends, desired, costs, strict=True)]
-        try:
+
+        def ask() -> Array:
             velocity = mink.solve_ik(self._configuration, tasks, self._dt, self._solver, limits=self._limits)
+            return np.asarray(velocity) * self._dt
+
+        return ask
+
+    def __call__(self, problem: IKProblem, q: Array) -> JointStep:
+        """Return mink's step for the one-level `problem` posed at joint positions `q`."""
+        level = problem.levels[0]
+        started = time.perf_counter()
+        ask = self.posed(problem, q)
+        try:
+            dtheta = ask()
         except (mink.MinkError, *SOLVER_ERRORS) as error:
             return JointStep(None, StepStatus.NOT_FOUND, f"mink: {error}", timings=self._since(started))
-        dtheta = np.asarray(velocity) * self._dt
         timings = self._since(started)
         if not np.isfinite(dtheta).all():
             return JointStep(None, StepStatus.NOT_FOUND, "mink: values that are not finite", timings=timings)

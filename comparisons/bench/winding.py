@@ -1,0 +1,236 @@
+"""The paper's arm winding: our whole loop step and its parts beside every rival at the same problem."""
+
+import math
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import qpsolvers
+from numpy.typing import NDArray
+
+from comparisons.bench.clock import Times, in_turn
+from comparisons.bench.neighbours import neighbours
+from comparisons.bench.rivals import Daqp, DaqpHierarchy, Dgelsy, Mink, Rival, answering
+from comparisons.bench.settings import BenchSettings
+from comparisons.settings import MINK_SOLVERS
+from prioritized_ik.errors import PrioritizedIkError
+from prioritized_ik.problem import IKProblem
+from prioritized_ik.solvers.certificate import certify
+from prioritized_ik.solvers.lexicographic import ActiveSet, get_solver, joint_step
+from prioritized_ik.solvers.step import JointStep, StepStatus
+from prioritized_ik.validation import Array
+from prioritized_ik.winding.controller import Situation, WindingController
+from prioritized_ik.winding.episode import Episode, wind
+from prioritized_ik.winding.plan import plan
+from prioritized_ik.winding.settings import WindingSettings
+
+OURS = "whole step"
+PARTS = ("observe", "plan", "problem", "solve and certificate", "certificate")
+NEAR_CUT = 10.0  # a singular value within this factor of the rank tolerance is near the cut
+
+#: Kinds of steps that times are told of; all of them first.
+ALL, HOT, CHANGED, FREE, BOUND, NEAR, FAR = (
+    "all", "hot", "after a contact change", "limits inactive", "limits active", "near the rank's cut", "rank clear",
+)  # fmt: skip
+KINDS = (ALL, HOT, CHANGED, FREE, BOUND, NEAR, FAR)
+
+Work = tuple[str, str, int]  # direction, weights, number of the step
+
+
+class DifferentProblemError(PrioritizedIkError):
+    """A rival would have been asked something else than our step."""
+
+
+@dataclass
+class WindingTimes:
+    """What was measured on the windings.
+
+    Attributes:
+        times: of the whole step, its parts and every rival.
+        works: the steps of each of `KINDS`, and of each of the weights.
+        gaps: by rival, how much more level 1 costs at its answer than at ours to the same question, relative to dθ = 0.
+        steps: how many of ours were timed.
+        certificates: how many of them had a certificate, and how many of these hold.
+        without_qp: how many called no QP solver.
+        paths: by which path of the library they were made, where it tells.
+    """
+
+    times: Times = field(default_factory=Times)
+    works: dict[str, set[Work]] = field(default_factory=lambda: defaultdict(set))
+    gaps: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    steps: int = 0
+    certificates: int = 0
+    certified: int = 0
+    without_qp: int = 0
+    paths: Counter[str] = field(default_factory=Counter)
+
+
+@dataclass(frozen=True)
+class OurStep:
+    """One step of our loop: what each part took [s], and what came of it."""
+
+    observe: float
+    problem: float
+    solve: float
+    situation: Situation
+    posed: IKProblem
+    step: JointStep
+
+
+class Loop:
+    """Our loop, from joint positions to a certified step."""
+
+    def __init__(self, settings: WindingSettings) -> None:
+        self.settings = settings
+        self.controller = WindingController(settings)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the rows of the last step."""
+        self._solver = get_solver(self.settings.solver, self.settings.options.accuracy)
+
+    def __call__(self, q: Array, was_in_contact: NDArray[np.bool_]) -> OurStep:
+        """Return the step from `q`, where the links `was_in_contact` touched the object the step before."""
+        started = time.perf_counter()
+        situation = self.controller.observe(q, was_in_contact)
+        observed = time.perf_counter()
+        problem = self.controller.problem(q, situation)
+        posed = time.perf_counter()
+        step = joint_step(problem, self._solver, self.settings.options)
+        ended = time.perf_counter()
+        return OurStep(observed - started, posed - observed, ended - posed, situation, problem, step)
+
+
+def rivals_of(settings: WindingSettings) -> dict[str, Rival]:
+    """Return every rival that can be asked here, by its name in the tables."""
+    tolerance = settings.options.rank_tolerance
+    found: dict[str, Rival] = {
+        f"mink ({name})": Mink(settings, name) for name in MINK_SOLVERS if name in qpsolvers.available_solvers
+    }
+    found |= neighbours(settings)
+    return found | {"dgelsy": Dgelsy(tolerance), "DAQP": Daqp(), "DAQP's hierarchy": DaqpHierarchy(tolerance)}
+
+
+def measure_windings(settings: BenchSettings, tell: Callable[[str, int, int], object]) -> WindingTimes:
+    """Return the times of all windings; `tell` hears what is done, how much of it, and of how much."""
+    measured = WindingTimes()
+    cases = [(direction, weights) for direction in settings.directions for weights in settings.weights]
+    for number, (direction, weights) in enumerate(cases):
+        tell("windings", number, len(cases))
+        winding = WindingSettings(direction=direction, weights=weights, solver=ActiveSet.name)
+        _measure(wind(winding), settings, measured)
+    tell("windings", len(cases), len(cases))
+    return measured
+
+
+def stretches_of(episode: Episode, settings: BenchSettings) -> list[range]:
+    """Return the steps that are timed, in stretches; the step before each warms up.
+
+    Some are spread evenly, the others are single steps just after the contact changed.
+    """
+    last = max(1, episode.steps - settings.stretch)
+    starts = sorted({int(start) for start in np.linspace(1, last, settings.stretches)})
+    even = [range(start, min(start + settings.stretch, episode.steps)) for start in starts]
+    changed = 1 + np.flatnonzero((episode.in_contact[1:-1] != episode.in_contact[:-2]).any(axis=1))
+    timed = {number for stretch in even for number in stretch}
+    others = [int(number) for number in changed if number not in timed]
+    places = sorted({int(place) for place in np.linspace(0, len(others) - 1, settings.changes)}) if others else []
+    return even + [range(others[place], others[place] + 1) for place in places]
+
+
+def _measure(episode: Episode, settings: BenchSettings, measured: WindingTimes) -> None:
+    loop, rivals = Loop(episode.settings), rivals_of(episode.settings)
+    turn = 0
+    for repeat in range(settings.repeats):
+        for stretch in stretches_of(episode, settings):
+            loop.forget()
+            loop(episode.q[stretch.start - 1], _was_in_contact(episode, stretch.start - 1))
+            for number in stretch:
+                _measure_step(episode, number, loop, rivals, measured, turn, first=repeat == 0)
+                turn += 1
+
+
+def _measure_step(
+    episode: Episode,
+    number: int,
+    loop: Loop,
+    rivals: dict[str, Rival],
+    measured: WindingTimes,
+    turn: int,
+    first: bool,
+) -> None:
+    given = episode.settings
+    q, was, problem = episode.q[number], _was_in_contact(episode, number), episode.problem(number)
+    asked = {name: rival.asked(problem, q) for name, rival in rivals.items()}
+    calls: dict[str, Callable[[], object]] = {name: answering(rivals[name], asked[name], q) for name in rivals}
+    directions, vectors, touching = (
+        getattr(episode, name)[number] for name in ("directions", "contact_vectors", "in_contact")
+    )
+    calls[OURS] = lambda: loop(q, was)
+    calls["plan"] = lambda: plan(directions, vectors, touching, speed=given.speed, dt=given.dt, dead_band=given.dead_band)
+    calls["certificate"] = lambda: certify(problem, episode.dtheta[number], given.options.rank_tolerance)
+    timed = in_turn(calls, turn)
+    work = (given.direction, given.weights, number)
+    for name, (seconds, _) in timed.items():
+        measured.times.add(name, work, seconds)
+    ours: OurStep = timed[OURS][1]
+    for part, seconds in (("observe", ours.observe), ("problem", ours.problem), ("solve and certificate", ours.solve)):
+        measured.times.add(part, work, seconds)
+    _count(ours.step, measured)
+    if first:
+        _same(ours.posed, problem)
+        _classify(episode, number, ours.step, work, measured)
+        for name in rivals:
+            if len(problem.levels) == len(asked[name].levels):
+                own = ours.step if asked[name] is problem else joint_step(asked[name], ActiveSet(), given.options)
+                measured.gaps[name].append(gap(asked[name], timed[name][1], own))
+
+
+def gap(asked: IKProblem, answer: Array | None, ours: JointStep) -> float:
+    """Return how much more level 1 costs at `answer` than at our step, relative to dθ = 0; infinite if there is none."""
+    level = asked.levels[0]
+    if ours.dtheta is None or answer is None or not np.isfinite(answer).all():
+        return math.inf
+    most = level.cost(np.zeros(asked.joint_count)) or 1.0
+    return (level.cost(answer) - level.cost(ours.dtheta)) / most
+
+
+def _count(step: JointStep, measured: WindingTimes) -> None:
+    measured.steps += 1
+    measured.certificates += step.certificate is not None
+    measured.certified += bool(step.certificate is not None and step.certificate.holds)
+    measured.without_qp += step.calls == 0
+    measured.paths[str(getattr(step, "path", "Python"))] += 1
+
+
+def _classify(episode: Episode, number: int, step: JointStep, work: Work, measured: WindingTimes) -> None:
+    changed = (episode.in_contact[number] != _was_in_contact(episode, number)).any()
+    free, tolerance = step.status is StepStatus.CLOSED_FORM, episode.settings.options.rank_tolerance
+    near = any(
+        (level.smallest_kept is not None and level.smallest_kept < NEAR_CUT * tolerance)
+        or (level.largest_cut is not None and level.largest_cut > tolerance / NEAR_CUT)
+        for level in step.levels
+    )
+    kinds = (ALL, CHANGED if changed else HOT, FREE if free else BOUND, NEAR if near else FAR, episode.settings.weights)
+    for kind in kinds:
+        measured.works[kind].add(work)
+
+
+def _was_in_contact(episode: Episode, number: int) -> NDArray[np.bool_]:
+    return episode.in_contact[number - 1] if number else np.zeros_like(episode.in_contact[0])
+
+
+def _same(ours: IKProblem, recorded: IKProblem) -> None:
+    """Make sure that what our loop poses is what the rivals are asked.
+
+    Raises:
+        DifferentProblemError: it is not.
+    """
+    pairs = [(ours.rows.matrix, recorded.rows.matrix), (ours.rows.upper, recorded.rows.upper)]
+    pairs += [(ours.bounds.lower, recorded.bounds.lower), (ours.bounds.upper, recorded.bounds.upper)]
+    for one, other in zip(ours.levels, recorded.levels, strict=True):
+        pairs += [(one.matrix, other.matrix), (one.target, other.target), (one.weights, other.weights)]
+    if not all(np.array_equal(one, other) for one, other in pairs):
+        raise DifferentProblemError("our loop poses another problem than was recorded: rivals would be asked another one.")
