@@ -125,7 +125,7 @@ def _measure_state(
         measured.steps += 1
         measured.certificates += step.certificate is not None
         measured.certified += bool(step.certificate is not None and step.certificate.holds)
-        measured.paths[str(getattr(step, "path", "Python"))] += 1
+        measured.paths[str(getattr(step, "path", "python"))] += 1
         if first and step.status is not StepStatus.CLOSED_FORM:
             measured.active[count].add(work)
     if first:

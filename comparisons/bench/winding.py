@@ -202,7 +202,7 @@ def _count(step: JointStep, measured: WindingTimes) -> None:
     measured.certificates += step.certificate is not None
     measured.certified += bool(step.certificate is not None and step.certificate.holds)
     measured.without_qp += step.calls == 0
-    measured.paths[str(getattr(step, "path", "Python"))] += 1
+    measured.paths[str(getattr(step, "path", "python"))] += 1
 
 
 def _classify(episode: Episode, number: int, step: JointStep, work: Work, measured: WindingTimes) -> None:

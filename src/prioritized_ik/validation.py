@@ -66,6 +66,8 @@ def finite_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
         InputError: wrong shape, or NaN or an infinity, naming the first place where it stands.
     """
     array = shaped_array(name, value, shape)
+    if _unremarkable(array):
+        return array
     bad = ~np.isfinite(array)
     if bad.any():
         place = tuple(int(i) for i in np.argwhere(bad)[0])
@@ -81,6 +83,9 @@ def shaped_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
         raise InputError(f"{name} is not an array of numbers ({error}); expected shape {_text(shape)}.") from error
     if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
         raise InputError(f"{name} has shape {array.shape}; expected {_text(shape)}.")
+    array.setflags(write=False)
+    if _unremarkable(array):
+        return array
     if np.isnan(array).any():
         place = [int(i) for i in np.argwhere(np.isnan(array))[0]]
         raise InputError(f"{name}{place} is nan; expected numbers only.")
@@ -88,8 +93,12 @@ def shaped_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
     if beyond.any():
         place = [int(i) for i in np.argwhere(beyond)[0]]
         raise InputError(f"{name}{place} is {array[tuple(place)]}; expected at most {LARGEST:g}: choose other units.")
-    array.setflags(write=False)
     return array
+
+
+def _unremarkable(array: Array) -> bool:
+    """Whether all of `array` is finite and not too large, in one look."""
+    return not array.size or bool(np.abs(array).max() <= LARGEST)
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
