@@ -9,7 +9,7 @@ one of soft inequalities, which counts only what exceeds its target.
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -269,14 +269,15 @@ class IKProblem:
         for name, width in widths.items():
             if width != m:
                 raise InputError(f"{name} has {width} joints; expected {m}, as many as {next(iter(widths))}.")
+        zeros, ones, free, without, no_equality = _nothing(m)
         _set(
             self,
             levels=tuple(levels),
-            bounds=Bounds.none(m) if bounds is None else bounds,
-            rows=Rows.none(m) if rows is None else rows,
-            reference=finite_array("reference", np.zeros(m) if reference is None else reference, (m,)),
-            equalities=Equalities.none(m) if equalities is None else equalities,
-            metric=_positive_metric(np.ones(m) if metric is None else metric, m),
+            bounds=free if bounds is None else bounds,
+            rows=without if rows is None else rows,
+            reference=zeros if reference is None else finite_array("reference", reference, (m,)),
+            equalities=no_equality if equalities is None else equalities,
+            metric=ones if metric is None else _positive_metric(metric, m),
             noise=fraction("noise", noise, below=NOISIEST),
         )
 
@@ -498,7 +499,7 @@ def trusted_problem(levels: tuple[Level, ...], bounds: Bounds | None, rows: Rows
     )
 
 
-@cache
+@lru_cache(maxsize=16)
 def _nothing(m: int) -> tuple[Array, Array, Bounds, Rows, Equalities]:
     """Return what problems of `m` joints have where nothing else is asked for."""
     return read_only(np.zeros(m)), read_only(np.ones(m)), Bounds.none(m), Rows.none(m), Equalities.none(m)

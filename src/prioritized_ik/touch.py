@@ -69,11 +69,10 @@ class TouchSensor:
     def read(self, data: mujoco.MjData) -> Touch:
         """Return the reading at the current positions of `data`. Needs `mj_kinematics`."""
         n = len(self._links)
-        distance, point = np.empty(n), np.empty((n, 3))
-        segment = np.empty(6)
-        for i, geom in enumerate(self._links.tolist()):
-            distance[i] = mujoco.mj_geomDistance(self.model, data, geom, self._object, REACH, segment)
-            point[i] = segment[:3]
+        segments = np.empty((n, 6))  # from the nearest point on each link to that on the object
+        pairs = zip(self._links.tolist(), segments, strict=True)
+        measured = [mujoco.mj_geomDistance(self.model, data, geom, self._object, REACH, to) for geom, to in pairs]
+        distance, point = np.array(measured), segments[:, :3].copy()
         # The normal runs from the surface point to the capsule's core, a radius away: well defined at zero distance,
         # where the segment between the two nearest points is not.
         centre = data.geom_xpos[self._links]
