@@ -69,15 +69,15 @@ def joint_range_bounds(model: mujoco.MjModel, q: ArrayLike) -> Bounds:
     joints = np.flatnonzero(scalar & (model.jnt_limited != 0))
     dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
     low, high = model.jnt_range[joints].T
-    outside = np.maximum(low - position[places], position[places] - high)
-    if outside.size and outside.max() > OUTSIDE:
-        worst = int(outside.argmax())
+    here = position[places]
+    down, up = low - here, high - here
+    if down.max(initial=0.0) > OUTSIDE or up.min(initial=0.0) < -OUTSIDE:
+        worst = int(np.maximum(down, -up).argmax())
         raise InputError(
             f"{names[dofs[worst]]} is at {position[places[worst]]:.6g}, outside its range "
             f"[{low[worst]:.6g}, {high[worst]:.6g}]; move it inside, or drop the joint limits."
         )
-    lower[dofs] = np.minimum(low - position[places], 0.0)
-    upper[dofs] = np.maximum(high - position[places], 0.0)
+    lower[dofs], upper[dofs] = np.minimum(down, 0.0), np.maximum(up, 0.0)
     return trusted(Bounds, lower=lower, upper=upper, names=names)
 
 

@@ -14,6 +14,8 @@ from prioritized_ik.validation import Array
 #: every step; 0.05 is an angle of 3 degrees, more than a step of 4 mm turns a 60 mm link by.
 DEAD_BAND = 0.05
 
+_YZX, _ZXY = np.array([1, 2, 0]), np.array([2, 0, 1])
+
 
 def plane_normal(link_direction: Array, contact_vector: Array) -> Array:
     """Eq. (22): e^{i-1} = a^{i-1} x c^{i-1} `(…, 3)`, normal of the plane P of link and contact.
@@ -136,7 +138,4 @@ def first_and_last_in_contact(in_contact: NDArray[np.bool_]) -> tuple[int, int]:
 
 def _cross(a: Array, b: Array) -> Array:
     """Return a x b of vectors in the last axis, ten times faster than `numpy.cross` on small arrays."""
-    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    (a1, a2, a3), (b1, b2, b3) = a.T, b.T
-    product.T[0], product.T[1], product.T[2] = a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
-    return product
+    return a.take(_YZX, axis=-1) * b.take(_ZXY, axis=-1) - a.take(_ZXY, axis=-1) * b.take(_YZX, axis=-1)
