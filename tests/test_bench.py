@@ -155,6 +155,14 @@ def test_rivals_that_answer_the_same_question_reach_the_same_cost(told: dict[str
         assert name in TURNING or abs(gap["max"]) <= DAMPED, name
 
 
+@pytest.mark.parametrize("name", neighbours.PACKAGES)
+def test_a_neighbour_that_is_installed_answers_the_same_question_without_contacts(name: str, told: dict[str, Any]) -> None:
+    pytest.importorskip(name)
+    found = [gap for program, gap in told["winding"]["gaps"].items() if program.startswith(name)]
+    assert found
+    assert all(gap["answered"] == gap["steps"] and abs(gap["max"]) <= DAMPED for gap in found)
+
+
 def box_and_rows(matrix: Array, upper: Array) -> tuple[Array, Array, list[Array]]:
     """Lower and upper bounds, and the rows of several joints with their sides behind them."""
     m = matrix.shape[1]

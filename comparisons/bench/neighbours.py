@@ -5,6 +5,7 @@ Neither knows contacts: they answer less than ours does. placo is timed with joi
 
 import importlib.util
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -72,9 +73,11 @@ class Pink(_Neighbour):
 
     def __init__(self, settings: WindingSettings) -> None:
         super().__init__(settings)
-        import pink
-        import pink.exceptions
-        import pinocchio
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # among their own packages
+            import pink
+            import pink.exceptions
+            import pinocchio
 
         self._pink, self._pinocchio = pink, pinocchio
         self.failures = (pink.exceptions.PinkError, *SOLVER_ERRORS)
@@ -105,7 +108,9 @@ class Placo(_Neighbour):
 
     def __init__(self, settings: WindingSettings, velocity_limits: bool = True) -> None:
         super().__init__(settings)
-        import placo
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)
+            import placo
 
         self.velocity_limits = velocity_limits
         with tempfile.TemporaryDirectory() as folder:

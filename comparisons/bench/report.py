@@ -14,7 +14,7 @@ from rich.table import Table as Drawn
 from comparisons.bench.run import MINK, Bench, figures, programs
 from comparisons.bench.settings import ROBOT_LEVELS
 from comparisons.bench.tracks import label
-from comparisons.bench.winding import OURS
+from comparisons.bench.winding import APART, OURS
 from prioritized_ik.errors import InputError
 from prioritized_ik.files import write_whole
 from prioritized_ik.validation import one_of
@@ -208,7 +208,7 @@ def _kinds(told: dict[str, Any]) -> Shown:
 def _parts(told: dict[str, Any]) -> Shown:
     whole = told["programs"][OURS]["p50_s"]
     rows = [
-        (name, f"{times['p50_s'] / whole:.0%}", _micro(times["p50_s"]), _micro(times["p99_s"]))
+        (name, _share(name, times["p50_s"] / whole), _micro(times["p50_s"]), _micro(times["p99_s"]))
         for name, times in told["parts"].items()
     ]
     return Shown("Parts of the whole step", ("part", "share", "p50 [µs]", "p99 [µs]"), rows)
@@ -285,6 +285,10 @@ def _floor(bench: Bench) -> Shown:
     floor = bench.profile.floor
     rows = [*((name, _micro(seconds)) for name, seconds in floor.items()), ("together", _micro(sum(floor.values())))]
     return Shown("The floor of a winding step", ("part", "p50 [µs]"), rows)
+
+
+def _share(part: str, share: float) -> str:
+    return "timed apart" if part in APART else f"{share:.0%}"
 
 
 def _ratio(value: float | None) -> str:

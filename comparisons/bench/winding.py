@@ -28,6 +28,7 @@ from prioritized_ik.winding.settings import WindingSettings
 
 OURS = "whole step"
 PARTS = ("observe", "plan", "problem", "solve and certificate", "certificate")
+APART = ("plan", "certificate")  # of them, what is called once more by itself
 NEAR_CUT = 10.0  # a singular value within this factor of the rank tolerance is near the cut
 
 #: Kinds of steps that times are told of; all of them first.
