@@ -19,7 +19,7 @@ from winding_fixtures import recorded
 
 from comparisons import robots
 from comparisons.bench import command, neighbours, report, winding
-from comparisons.bench.clock import Times, in_turn, quantile, ratio
+from comparisons.bench.clock import Times, quantile, ratio, rotated, timed
 from comparisons.bench.rivals import Dgelsy, Mink, MinkOnRobot, in_one_level
 from comparisons.bench.run import Bench, figures, run
 from comparisons.bench.settings import ROBOT_LEVELS, BenchSettings
@@ -273,12 +273,15 @@ def test_steps_after_a_contact_change_are_told_apart(told: dict[str, Any]) -> No
 # The clock.
 
 
-def test_calls_take_turns_and_each_is_made_once() -> None:
-    order: list[str] = []
-    calls = {name: lambda name=name: order.append(name) for name in "abc"}
-    for turn in range(3):
-        assert in_turn(calls, turn).keys() == set("abc")
-    assert "".join(order) == "abcbcacab"
+def test_programs_take_turns_at_being_the_first() -> None:
+    assert ["".join(rotated("abc", turn)) for turn in range(4)] == ["abc", "bca", "cab", "abc"]
+
+
+def test_what_is_timed_is_called_once_and_answers() -> None:
+    calls: list[int] = []
+    seconds, answer = timed(lambda: calls.append(1) or "answer")
+    assert (len(calls), answer) == (1, "answer")
+    assert seconds >= 0.0
 
 
 def test_a_piece_of_work_counts_once_by_the_median_of_its_repeats() -> None:

@@ -1,8 +1,8 @@
-"""Times of several programs at the same work, called one after the other in turn, so that a slow moment hits all alike."""
+"""Times of several programs at the same work. They take turns, so that a slow moment hits all alike."""
 
 import time
 from collections import defaultdict
-from collections.abc import Callable, Collection, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,17 +13,18 @@ from prioritized_ik.validation import Array
 Call = Callable[[], Any]
 
 
-def in_turn(calls: Mapping[str, Call], turn: int) -> dict[str, tuple[float, Any]]:
-    """Return what each of `calls` took [s] and returned; which one is the first depends on `turn`."""
-    names = list(calls)
-    first = turn % len(names)
-    timed = {}
-    for name in names[first:] + names[:first]:
-        call = calls[name]
-        started = time.perf_counter()
-        answer = call()
-        timed[name] = (time.perf_counter() - started, answer)
-    return timed
+def timed(call: Call) -> tuple[float, Any]:
+    """Return what a call took [s] and returned."""
+    started = time.perf_counter()
+    answer = call()
+    return time.perf_counter() - started, answer
+
+
+def rotated(names: Iterable[str], turn: int) -> list[str]:
+    """Return names in the order of their turns: which is the first depends on `turn`."""
+    known = list(names)
+    first = turn % len(known)
+    return known[first:] + known[:first]
 
 
 @dataclass

@@ -9,7 +9,7 @@ from types import CodeType
 import mujoco
 import numpy as np
 
-from comparisons.bench.clock import in_turn
+from comparisons.bench.clock import rotated, timed
 from comparisons.bench.rivals import Dgelsy
 from comparisons.bench.settings import BenchSettings
 from comparisons.bench.winding import Loop
@@ -80,6 +80,6 @@ def _floor(loop: Loop, winding: WindingSettings, repeats: int) -> dict[str, floa
     }
     times: dict[str, list[float]] = {name: [] for name in calls}
     for turn in range(max(repeats, 20)):
-        for name, (seconds, _) in in_turn(calls, turn).items():
-            times[name].append(seconds)
+        for name in rotated(calls, turn):
+            times[name].append(timed(calls[name])[0])
     return {name: float(np.median(column)) for name, column in times.items()}

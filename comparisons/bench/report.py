@@ -37,14 +37,15 @@ TARGETS = {
 }
 
 LEGEND = (
-    "All in one process, one BLAS thread, calls in turn; a step's time is the median over repeats, p50 and p99 are over "
-    "steps. Whole step: from joint positions to certified step, touch included, warm from the step before. Rivals: the "
-    "answering call alone, posed before. Of the whole step: observe (kinematics, touch, plan), problem, solve and "
-    "certificate; plan is part of observe and timed again by itself, certificate is a proof of the same step from nothing "
-    "(`certify`). mink: `mink.solve_ik`. pink and placo know no contacts, dgelsy no limits. Gap: how much more level 1 "
-    "costs at their answer than at ours to the same question, relative to not moving; none where they are asked for one "
-    "level in place of three. Robots: posing, solve and certificate against `mink.solve_ik` of the first level, at the "
-    "same states; 6 levels: a robot's own, or the three with their rows parted in two; cold: first step of a track."
+    "All in one process, one BLAS thread; programs take turns at stretches of some steps, which each goes through by "
+    "itself, as in a loop. A step's time is the median over repeats, p50 and p99 are over steps. Whole step: from "
+    "joint positions to certified step, touch included, warm from the step before. Rivals: the answering call alone, "
+    "posed before. Of the whole step: observe (kinematics, touch, plan), problem, solve and certificate; plan is part "
+    "of observe and timed again by itself, certificate is a proof of the same step from nothing (`certify`). mink: "
+    "`mink.solve_ik`. pink and placo know no contacts, dgelsy no limits. Gap: how much more level 1 costs at their "
+    "answer than at ours to the same question, relative to not moving; none where they are asked for one level in "
+    "place of three. Robots: posing, solve and certificate against `mink.solve_ik` of the first level, at the same "
+    "states; 6 levels: a robot's own, or the three with their rows parted in two; cold: first step of a track."
 )
 
 

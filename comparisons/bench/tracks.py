@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import qpsolvers
 
-from comparisons.bench.clock import Times, in_turn
+from comparisons.bench.clock import Times, rotated, timed
 from comparisons.bench.rivals import MinkOnRobot, answering
 from comparisons.bench.settings import ROBOT_LEVELS, BenchSettings
 from comparisons.bench.winding import gap
@@ -83,55 +83,87 @@ def _halves(level: Level) -> list[Level]:
 
 def _measure(name: str, robot: Robot, settings: BenchSettings) -> RobotTimes:
     measured = RobotTimes(robot.scene(0).model.nv)
-    for repeat in range(settings.repeats):
-        for track in range(settings.tracks):
-            scene = robot.scene(track)
-            solvers = {count: ActiveSet() for count in ROBOT_LEVELS}
-            rivals = {
-                f"mink ({solver})": MinkOnRobot(name, scene, solver)
-                for solver in MINK_SOLVERS
-                if solver in qpsolvers.available_solvers
-            }
-            for number in range(settings.track):
-                work = (track, number)
-                step = _measure_state(robot, scene, solvers, rivals, measured, work, first=repeat == 0)
-                if number == 0:
-                    measured.cold.add(work)
-                if step.dtheta is None:
-                    break
-                _move(scene, step.dtheta)
+    for track in range(settings.tracks):
+        scene = robot.scene(track)
+        states = _states(robot, scene, settings.track)
+        rivals = {
+            f"mink ({solver})": MinkOnRobot(name, scene, solver)
+            for solver in MINK_SOLVERS
+            if solver in qpsolvers.available_solvers
+        }
+        for repeat in range(settings.repeats):
+            turn = repeat + settings.repeats * track
+            _measure_track(robot, scene, states, rivals, measured, track, turn, first=repeat == 0)
     return measured
 
 
-def _measure_state(
+def _states(robot: Robot, scene: Scene, count: int) -> list[Array]:
+    """Return the joint positions that the robot's own hierarchy goes through, fewer than `count` where it finds no step."""
+    solver, states = ActiveSet(), [scene.now.qpos.copy()]
+    while len(states) < count:
+        step = _step(robot, scene, solver, len(robot.levels))
+        if step.dtheta is None:
+            break
+        _move(scene, step.dtheta)
+        states.append(scene.now.qpos.copy())
+    return states
+
+
+def _measure_track(
     robot: Robot,
     scene: Scene,
-    solvers: dict[int, ActiveSet],
+    states: list[Array],
     rivals: dict[str, MinkOnRobot],
     measured: RobotTimes,
-    work: Work,
+    track: int,
+    turn: int,
     first: bool,
-) -> JointStep:
-    """Time every program at the scene's state, and return our step of the longest hierarchy that is the robot's own."""
-    q = scene.now.qpos.copy()
-    one = problem_of(robot, scene, 1)
-    calls: dict[str, Callable[[], object]] = {name: answering(rival, one, q) for name, rival in rivals.items()}
-    calls |= {label(count): partial(_step, robot, scene, solver, count) for count, solver in solvers.items()}
-    timed = in_turn(calls, sum(work))
-    for program, (seconds, _) in timed.items():
-        measured.times.add(program, work, seconds)
-    steps: dict[int, JointStep] = {count: timed[label(count)][1] for count in solvers}
-    for count, step in steps.items():
-        measured.steps += 1
-        measured.certificates += step.certificate is not None
-        measured.certified += bool(step.certificate is not None and step.certificate.holds)
-        measured.paths[str(getattr(step, "path", "python"))] += 1
-        if first and step.status is not StepStatus.CLOSED_FORM:
-            measured.active[count].add(work)
+) -> None:
+    """Let every program go along the track by itself, one program after the other."""
+    steps: dict[int, list[JointStep]] = {count: [] for count in ROBOT_LEVELS}
+    answers: dict[str, list[Array | None]] = {program: [] for program in rivals}
+    questions: list[IKProblem] = []
+    for q in states:
+        update_kinematics(scene.model, scene.now, q)
+        questions.append(problem_of(robot, scene, 1))
+
+    def go_ours(count: int) -> None:
+        _step(robot, scene, ActiveSet(), count)  # warms up the processor, not the solver
+        solver = ActiveSet()
+        for number, q in enumerate(states):
+            update_kinematics(scene.model, scene.now, q)
+            seconds, step = timed(partial(_step, robot, scene, solver, count))
+            measured.times.add(label(count), (track, number), seconds)
+            _count(step, measured)
+            steps[count].append(step)
+
+    def go(program: str) -> None:
+        answering(rivals[program], questions[0], states[0])()
+        for number, q in enumerate(states):
+            update_kinematics(scene.model, scene.now, q)
+            seconds, answer = timed(answering(rivals[program], questions[number], q))
+            measured.times.add(program, (track, number), seconds)
+            answers[program].append(answer)
+
+    programs: dict[str, Callable[[], None]] = {program: partial(go, program) for program in rivals}
+    programs |= {label(count): partial(go_ours, count) for count in ROBOT_LEVELS}
+    for program in rotated(programs, turn):
+        programs[program]()
     if first:
-        for program in rivals:
-            measured.gaps[program].append(gap(one, timed[program][1], steps[1]))
-    return steps[max(count for count in steps if count <= len(robot.levels))]
+        measured.cold.add((track, 0))
+        for number, one in enumerate(questions):
+            for count in ROBOT_LEVELS:
+                if steps[count][number].status is not StepStatus.CLOSED_FORM:
+                    measured.active[count].add((track, number))
+            for program in rivals:
+                measured.gaps[program].append(gap(one, answers[program][number], steps[1][number]))
+
+
+def _count(step: JointStep, measured: RobotTimes) -> None:
+    measured.steps += 1
+    measured.certificates += step.certificate is not None
+    measured.certified += bool(step.certificate is not None and step.certificate.holds)
+    measured.paths[str(getattr(step, "path", "python"))] += 1
 
 
 def _step(robot: Robot, scene: Scene, solver: ActiveSet, count: int) -> JointStep:

@@ -5,12 +5,13 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 import qpsolvers
 from numpy.typing import NDArray
 
-from comparisons.bench.clock import Times, in_turn
+from comparisons.bench.clock import Call, Times, rotated, timed
 from comparisons.bench.neighbours import neighbours
 from comparisons.bench.rivals import Daqp, DaqpHierarchy, Dgelsy, Mink, Rival, answering
 from comparisons.bench.settings import BenchSettings
@@ -146,47 +147,87 @@ def _measure(episode: Episode, settings: BenchSettings, measured: WindingTimes) 
     turn = 0
     for repeat in range(settings.repeats):
         for stretch in stretches_of(episode, settings):
-            loop.forget()
-            loop(episode.q[stretch.start - 1], _was_in_contact(episode, stretch.start - 1))
-            for number in stretch:
-                _measure_step(episode, number, loop, rivals, measured, turn, first=repeat == 0)
-                turn += 1
+            _measure_stretch(episode, stretch, loop, rivals, measured, turn, first=repeat == 0)
+            turn += 1
 
 
-def _measure_step(
+def _measure_stretch(
     episode: Episode,
-    number: int,
+    stretch: range,
     loop: Loop,
     rivals: dict[str, Rival],
     measured: WindingTimes,
     turn: int,
     first: bool,
 ) -> None:
-    given = episode.settings
-    q, was, problem = episode.q[number], _was_in_contact(episode, number), episode.problem(number)
-    asked = {name: rival.asked(problem, q) for name, rival in rivals.items()}
-    calls: dict[str, Callable[[], object]] = {name: answering(rivals[name], asked[name], q) for name in rivals}
-    directions, vectors, touching = (
-        getattr(episode, name)[number] for name in ("directions", "contact_vectors", "in_contact")
-    )
-    calls[OURS] = lambda: loop(q, was)
-    calls["plan"] = lambda: plan(directions, vectors, touching, speed=given.speed, dt=given.dt, dead_band=given.dead_band)
-    calls["certificate"] = lambda: certify(problem, episode.dtheta[number], given.options.rank_tolerance)
-    timed = in_turn(calls, turn)
-    work = (given.direction, given.weights, number)
-    for name, (seconds, _) in timed.items():
-        measured.times.add(name, work, seconds)
-    ours: OurStep = timed[OURS][1]
-    for part, seconds in (("observe", ours.observe), ("problem", ours.problem), ("solve and certificate", ours.solve)):
-        measured.times.add(part, work, seconds)
-    _count(ours.step, measured)
+    """Let every program go through the stretch by itself, as it would in a loop, one program after the other."""
+    problems = {number: episode.problem(number) for number in stretch}
+    steps: dict[int, JointStep] = {}
+    answers: dict[str, dict[int, Array | None]] = {name: {} for name in rivals}
+
+    def go_ours() -> None:
+        loop.forget()
+        loop(episode.q[stretch.start - 1], _was_in_contact(episode, stretch.start - 1))
+        for number in stretch:
+            ours = loop(episode.q[number], _was_in_contact(episode, number))
+            parts = {"observe": ours.observe, "problem": ours.problem, "solve and certificate": ours.solve}
+            for part, seconds in {OURS: sum(parts.values()), **parts}.items():
+                measured.times.add(part, _work(episode, number), seconds)
+            _count(ours.step, measured)
+            steps[number] = ours.step
+            if first:
+                _same(ours.posed, problems[number])
+
+    def go(name: str, ask: Callable[[int], Call]) -> None:
+        ask(stretch.start)()  # warms up, as ours does
+        for number in stretch:
+            seconds, answer = timed(ask(number))
+            measured.times.add(name, _work(episode, number), seconds)
+            if name in rivals:
+                answers[name][number] = answer
+
+    def asks_of(rival: Rival) -> Callable[[int], Call]:
+        return lambda number: answering(rival, rival.asked(problems[number], episode.q[number]), episode.q[number])
+
+    programs: dict[str, Callable[[], None]] = {OURS: go_ours}
+    asks = {name: asks_of(rival) for name, rival in rivals.items()} | _parts_apart(episode, problems)
+    programs |= {name: partial(go, name, ask) for name, ask in asks.items()}
+    for name in rotated(programs, turn):
+        programs[name]()
     if first:
-        _same(ours.posed, problem)
-        _classify(episode, number, ours.step, work, measured)
-        for name in rivals:
-            if len(problem.levels) == len(asked[name].levels):
-                own = ours.step if asked[name] is problem else joint_step(asked[name], ActiveSet(), given.options)
-                measured.gaps[name].append(gap(asked[name], timed[name][1], own))
+        for number in stretch:
+            _classify(episode, number, steps[number], measured)
+            for name, rival in rivals.items():
+                _compare(name, rival, problems[number], episode, number, answers[name][number], steps[number], measured)
+
+
+def _parts_apart(episode: Episode, problems: dict[int, IKProblem]) -> dict[str, Callable[[int], Call]]:
+    """Return how to call by itself each part that is called `APART`, by the number of the step."""
+    given = episode.settings
+    planned = partial(plan, speed=given.speed, dt=given.dt, dead_band=given.dead_band)
+    seen = (episode.directions, episode.contact_vectors, episode.in_contact)
+    tolerance = given.options.rank_tolerance
+    return {
+        "plan": lambda number: partial(planned, *(column[number] for column in seen)),
+        "certificate": lambda number: partial(certify, problems[number], episode.dtheta[number], tolerance),
+    }
+
+
+def _compare(
+    name: str,
+    rival: Rival,
+    problem: IKProblem,
+    episode: Episode,
+    number: int,
+    answer: Array | None,
+    step: JointStep,
+    measured: WindingTimes,
+) -> None:
+    """Note how far a rival's answer is from ours, to what it was asked, unless that had its levels in one."""
+    asked = rival.asked(problem, episode.q[number])
+    if len(asked.levels) == len(problem.levels):
+        own = step if asked is problem else joint_step(asked, ActiveSet(), episode.settings.options)
+        measured.gaps[name].append(gap(asked, answer, own))
 
 
 def gap(asked: IKProblem, answer: Array | None, ours: JointStep) -> float:
@@ -206,7 +247,11 @@ def _count(step: JointStep, measured: WindingTimes) -> None:
     measured.paths[str(getattr(step, "path", "python"))] += 1
 
 
-def _classify(episode: Episode, number: int, step: JointStep, work: Work, measured: WindingTimes) -> None:
+def _work(episode: Episode, number: int) -> Work:
+    return episode.settings.direction, episode.settings.weights, number
+
+
+def _classify(episode: Episode, number: int, step: JointStep, measured: WindingTimes) -> None:
     changed = (episode.in_contact[number] != _was_in_contact(episode, number)).any()
     free, tolerance = step.status is StepStatus.CLOSED_FORM, episode.settings.options.rank_tolerance
     near = any(
@@ -216,7 +261,7 @@ def _classify(episode: Episode, number: int, step: JointStep, work: Work, measur
     )
     kinds = (ALL, CHANGED if changed else HOT, FREE if free else BOUND, NEAR if near else FAR, episode.settings.weights)
     for kind in kinds:
-        measured.works[kind].add(work)
+        measured.works[kind].add(_work(episode, number))
 
 
 def _was_in_contact(episode: Episode, number: int) -> NDArray[np.bool_]:
