@@ -5,6 +5,7 @@ step limit a `VelocityLimit`, contacts a `CollisionAvoidanceLimit`. mink's colli
 and compares it with a displacement, so its gain is multiplied by the time step to mean the same.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -83,20 +84,28 @@ class MinkBench:
             ),
         ]
 
-    def solve(self, problem: IKProblem, q: Array, solver: str) -> StageResult:
-        """Return mink's dθ `(m,)` as x, for the one-level `problem` posed at joint positions `q`."""
+    def posed(self, problem: IKProblem, q: Array, solver: str) -> Callable[[], Array]:
+        """Return what asks mink for its step dθ `(m,)` of the one-level `problem` posed at joint positions `q`."""
         level, dt = problem.levels[0], self.settings.dt
         desired = level.target.reshape(-1, 3)
         costs = np.sqrt(level.weights.reshape(-1, 3))
         self.configuration.update(q)
         ends = self.settings.arm.end_sites
         tasks = [self._task(end, dx, cost) for end, dx, cost in zip(ends, desired, costs, strict=True)]
+
+        def ask() -> Array:
+            return np.asarray(mink.solve_ik(self.configuration, tasks, dt, solver, limits=self.limits)) * dt
+
+        return ask
+
+    def solve(self, problem: IKProblem, q: Array, solver: str) -> StageResult:
+        """Return mink's dθ `(m,)` as x, for the one-level `problem` posed at joint positions `q`."""
+        ask = self.posed(problem, q, solver)
         try:
             with silence.kept():
-                velocity = mink.solve_ik(self.configuration, tasks, dt, solver, limits=self.limits)
+                dtheta = ask()
         except (mink.MinkError, *SOLVER_ERRORS) as error:
             return StageResult(None, f"mink: {error}")
-        dtheta = np.asarray(velocity) * dt
         return StageResult(dtheta) if np.isfinite(dtheta).all() else StageResult(None, "mink: values that are not finite")
 
     def _task(self, end: str, dx: Array, cost: Array) -> mink.FrameTask:

@@ -611,7 +611,7 @@ def _side() -> Measured:
     wrong, band = 0.0, plan.DEAD_BAND
     for out_of_plane, sign in ((-1.0, 1), (-band - 1e-9, 1), (-band, 0), (0.0, 0), (band, 0), (band + 1e-9, -1), (1.0, -1)):
         link = np.array([0.0, np.sqrt(1.0 - out_of_plane**2), out_of_plane])
-        wrong = max(wrong, abs(plan.side_sign(link, np.array([0.0, 0.0, 1.0])) - sign))
+        wrong = max(wrong, abs(float(plan.side_sign(link, np.array([0.0, 0.0, 1.0]))) - sign))
     return {"printed": None, "implemented": wrong}
 
 

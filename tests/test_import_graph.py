@@ -17,7 +17,7 @@ ROOT = Path(prioritized_ik.__file__).parent
 LAYERS = [
     {"errors", "tolerances"},
     {"validation", "files"},
-    {"models"},
+    {"models", "jacobians"},
     {"virtual_arms"},
     {"touch", "problem", "weights"},
     {"limits"},

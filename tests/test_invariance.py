@@ -11,12 +11,12 @@ from functools import cache, partial
 import mujoco
 import numpy as np
 import pytest
-import robots
 from hierarchies import random_hierarchy
-from robots import HUMANOID, ROBOTS, Scene, robot_steps
 from tolerances import ROUNDING
 from units import physical, reposed
 
+from comparisons import robots
+from comparisons.robots import ROBOTS, robot_steps
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.registry import get_method
@@ -211,7 +211,7 @@ def test_a_robot_has_one_structure_and_a_seed_one_step(name):
 @pytest.mark.parametrize("seed", range(SAMPLE))
 def test_a_short_way_is_what_the_jacobians_say(seed, monkeypatch):
     monkeypatch.setattr(robots, "REACH", (-4.0, -4.0))
-    scene = Scene.of(HUMANOID, seed, slide=0.05, hinge=0.1, wandering=0.1)
+    scene = ROBOTS["humanoid"].scene(seed)
     way = np.empty(scene.model.nv)
     mujoco.mj_differentiatePos(scene.model, way, 1.0, scene.now.qpos, scene.wanted.qpos)
     for level in (scene.position("left hand"), scene.orientation("right hand"), scene.centre_of_mass()):

@@ -1,5 +1,8 @@
 """Joint range, step and contact limits."""
 
+import gc
+import weakref
+
 import mujoco
 import numpy as np
 import pytest
@@ -320,3 +323,23 @@ def test_in_the_metric_of_a_model_only_what_translates_counts_in_its_length() ->
 def test_the_length_of_a_metric_must_be_positive(length: float) -> None:
     with pytest.raises(InputError, match=r"length is .*; expected a finite number above 0"):
         joint_metric(mujoco.MjModel.from_xml_string(MIXED), length)
+
+
+def test_the_names_of_a_models_joints_are_its_own_and_die_with_it() -> None:
+    texts = [
+        f'<mujoco><worldbody><body><joint name="{name}"/><geom size="1"/></body></worldbody></mujoco>' for name in "ab"
+    ]
+    one, other = (mujoco.MjModel.from_xml_string(text) for text in texts)
+    assert joint_names(one) == joint_names(one) == ("a",)
+    assert joint_names(other) == ("b",)
+    watched = weakref.ref(one)
+    del one
+    gc.collect()
+    assert watched() is None
+
+
+def test_a_joint_range_that_is_changed_counts_at_once() -> None:
+    model = Arm(links=2).spec().compile()
+    before = joint_range_bounds(model, np.zeros(model.nq))
+    model.jnt_range[:] *= 0.5
+    assert np.array_equal(joint_range_bounds(model, np.zeros(model.nq)).upper, 0.5 * before.upper)

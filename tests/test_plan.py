@@ -1,5 +1,6 @@
 """Where the virtual end points should go, Eqs. (18) to (22), and the two equilibria."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -7,8 +8,10 @@ import pytest
 from tolerances import NORMAL, ROUNDING
 
 from prioritized_ik.models import DIRECTIONS
+from prioritized_ik.problem import Bounds, IKProblem, Rows
 from prioritized_ik.touch import Touch
-from prioritized_ik.winding.controller import Equilibrium, Situation, WindingController
+from prioritized_ik.weights import diagonal_of_weights, winding_priorities, winding_weights
+from prioritized_ik.winding.controller import Equilibrium, Situation, WindingController, levels_of
 from prioritized_ik.winding.plan import (
     DEAD_BAND,
     desired_displacement,
@@ -287,3 +290,65 @@ def test_arms_planned_one_by_one_in_any_order_make_the_plan() -> None:
 )
 def test_first_and_last_in_contact_stop_at_the_first_gap(pattern: str, expected: tuple[int, int]) -> None:
     assert first_and_last_in_contact(np.array([bit == "1" for bit in pattern])) == expected
+
+
+def test_arms_planned_together_are_planned_alike_to_the_last_bit() -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(20):
+        directions, contacts = (unit(vectors) for vectors in rng.normal(size=(2, 17, 3)))
+        touching = rng.random(17) < 0.5
+        together = plan(directions, contacts, touching, **STEP)
+        for i in range(1, 17):
+            alone = plan_arm(directions[i - 1], contacts[i - 1], touching[i - 1], directions[i], touching[i], **STEP)
+            assert np.array_equal(together[0][i], alone[0])
+            assert together[1][i] == alone[1]
+
+
+def test_plane_normals_of_many_arms_are_their_cross_products() -> None:
+    a, c = random_scene(17, seed=12)
+    assert np.abs(plane_normal(a, c) - np.cross(a, c)).max() < ROUNDING
+
+
+def test_the_controller_poses_the_same_problem_as_checked_constructors_do() -> None:
+    for weights in ("eq23", "eq24", "strict"):
+        settings = WindingSettings(weights=weights)
+        controller = WindingController(settings)
+        q = settings.initial_posture()
+        situation = controller.observe(q, np.zeros(17, dtype=bool))
+        found = controller.problem(q, situation)
+        weight = diagonal_of_weights(winding_weights(situation.last, 17, weights), 3)
+        number = np.repeat(winding_priorities(situation.last, 17, weights), 3)
+        levels = levels_of(controller.arms.jacobian(controller.data), situation.desired.ravel(), weight, number)
+        bounds, rows = found.bounds, found.rows
+        checked = IKProblem(
+            levels, Bounds(bounds.lower, bounds.upper, bounds.names), Rows(rows.matrix, rows.upper, rows.names)
+        )
+        assert_same(found, checked)
+
+
+def assert_same(one: object, other: object) -> None:
+    """Whether two records hold the same, arrays to the last bit and read-only."""
+    if isinstance(one, np.ndarray):
+        assert isinstance(other, np.ndarray)
+        assert np.array_equal(one, other)
+        assert not one.flags.writeable
+    elif dataclasses.is_dataclass(one):
+        assert type(one) is type(other)
+        for item in dataclasses.fields(one):
+            assert_same(getattr(one, item.name), getattr(other, item.name))
+    elif isinstance(one, tuple):
+        for part, same in zip(one, other, strict=True):  # type: ignore[call-overload]
+            assert_same(part, same)
+    else:
+        assert one == other
+
+
+def test_a_situation_changed_later_does_not_change_the_problem_posed() -> None:
+    settings = WindingSettings()
+    controller = WindingController(settings)
+    q = settings.initial_posture()
+    situation = controller.observe(q, np.zeros(17, dtype=bool))
+    problem = controller.problem(q, situation)
+    before = problem.levels[0].target.copy()
+    situation.desired[:] = 1.0
+    assert np.array_equal(problem.levels[0].target, before)

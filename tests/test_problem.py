@@ -1,8 +1,10 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows, trusted_level, trusted_problem
 
 
 @pytest.fixture
@@ -636,3 +638,44 @@ def test_a_name_that_no_hard_row_has_is_refused_with_some_that_there_are(held):
 def test_a_problem_without_hard_rows_has_nothing_to_soften():
     with pytest.raises(InputError, match="no hard row is called 'hip upper'"):
         IKProblem([Level(np.eye(2), np.zeros(2))]).softened(["hip upper"])
+
+
+def test_bounds_of_other_joints_do_not_intersect() -> None:
+    with pytest.raises(InputError, match="of 3 joints; expected 2"):
+        Bounds([-1, -1], [1, 1]).intersect(Bounds.none(3))
+
+
+def test_bounds_that_cross_where_they_intersect_are_refused_by_name() -> None:
+    with pytest.raises(InputError, match=r"'b lower' is 2\.0, above 'b upper', 1\.0"):
+        Bounds([-1, -1], [1, 1], ["a", "b"]).intersect(Bounds([-1, 2], [1, 3]))
+
+
+def test_an_unchecked_problem_is_the_one_that_checks_would_make() -> None:
+    level = Level([[1.0, 2.0]], [3.0], [4.0], "hand")
+    bounds, rows = Bounds([-1, -np.inf], [1, 2]), Rows([[1, 1], [2, 0]], [1, np.inf])
+    for given in ((bounds, rows), (None, None)):
+        checked = IKProblem([level], *given)
+        unchecked = trusted_problem((trusted_level(level.matrix, level.target, level.weights, "hand"),), *given, 2)
+        for one, other in ((checked, unchecked), (checked.levels[0], unchecked.levels[0])):
+            for item in dataclasses.fields(one):
+                same, as_same = getattr(one, item.name), getattr(other, item.name)
+                if isinstance(same, np.ndarray):
+                    assert np.array_equal(same, as_same)
+                    assert not as_same.flags.writeable
+                elif item.name in ("kind", "below", "name", "damping", "noise"):
+                    assert same == as_same
+        assert np.array_equal(checked.inequalities.matrix, unchecked.inequalities.matrix)
+        assert checked.inequalities.names == unchecked.inequalities.names
+
+
+def test_bounds_of_other_joints_or_sides_have_other_inequalities() -> None:
+    for lower, upper, names, rows in (
+        ([-1, -np.inf], [np.inf, 2], ("a", "b"), ("b upper", "a lower")),
+        ([-1, -1], [np.inf, 2], ("a", "b"), ("b upper", "a lower", "b lower")),
+        ([-1, -1], [np.inf, 2], ("c", "d"), ("d upper", "c lower", "d lower")),
+    ):
+        found = IKProblem([], Bounds(lower, upper, names)).inequalities
+        assert found.names == rows
+        for name, row in zip(found.names, found.matrix, strict=True):
+            joint, side = name.split()
+            assert np.array_equal(row, (1.0 if side == "upper" else -1.0) * np.eye(2)[names.index(joint)])

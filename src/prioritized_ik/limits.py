@@ -1,20 +1,32 @@
 """Joint range, step and contact limits, as bounds and rows of which dθ = 0 is always a member."""
 
+import weakref
+
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.problem import Bounds, Rows
+from prioritized_ik.problem import Bounds, Rows, trusted
 from prioritized_ik.touch import Touch, TouchSensor
 from prioritized_ik.validation import Array, finite_array, non_negative, positive
 
-_SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 OUTSIDE = 1e-4  # [rad] a joint this far outside its range is rounding of accepted steps; further is an error
+
+#: Names of joints by model: they cannot change, and asking MuJoCo for each takes longer than all else here.
+_NAMES: weakref.WeakKeyDictionary[mujoco.MjModel, tuple[str, ...]] = weakref.WeakKeyDictionary()
 
 
 def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     """Return one name a degree of freedom `(m,)`: that of its joint, numbered from 1 where the joint has several."""
+    known = _NAMES.get(model)
+    if known is None:
+        known = _NAMES[model] = _joint_names(model)
+    return known
+
+
+def _joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     names = []
     for dof, joint in enumerate(model.dof_jntid):
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint {joint + 1}"
@@ -53,20 +65,20 @@ def joint_range_bounds(model: mujoco.MjModel, q: ArrayLike) -> Bounds:
     position = finite_array("q", q, (model.nq,))
     names = joint_names(model)
     lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
-    scalar = np.isin(model.jnt_type, _SCALAR_JOINTS)
+    scalar = (model.jnt_type == _HINGE) | (model.jnt_type == _SLIDE)
     joints = np.flatnonzero(scalar & (model.jnt_limited != 0))
     dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
     low, high = model.jnt_range[joints].T
-    outside = np.maximum(low - position[places], position[places] - high)
-    if outside.size and outside.max() > OUTSIDE:
-        worst = int(outside.argmax())
+    here = position[places]
+    down, up = low - here, high - here
+    if down.max(initial=0.0) > OUTSIDE or up.min(initial=0.0) < -OUTSIDE:
+        worst = int(np.maximum(down, -up).argmax())
         raise InputError(
             f"{names[dofs[worst]]} is at {position[places[worst]]:.6g}, outside its range "
             f"[{low[worst]:.6g}, {high[worst]:.6g}]; move it inside, or drop the joint limits."
         )
-    lower[dofs] = np.minimum(low - position[places], 0.0)
-    upper[dofs] = np.maximum(high - position[places], 0.0)
-    return Bounds(lower, upper, names)
+    lower[dofs], upper[dofs] = np.minimum(down, 0.0), np.maximum(up, 0.0)
+    return trusted(Bounds, lower=lower, upper=upper, names=names)
 
 
 def step_bounds(model: mujoco.MjModel, max_step: float) -> Bounds:
@@ -107,13 +119,12 @@ def contact_rows(
         raise InputError(f"gain is {gain!r}; expected a number above 0 and up to 1.")
     non_negative("min_distance", min_distance)
     near = np.flatnonzero(touch.distance < positive("margin", margin))
-    model = sensor.model
-    matrix = np.empty((near.size, model.nv))
-    of_link, of_object = np.empty((3, model.nv)), np.empty((3, model.nv))
-    for row, link in zip(matrix, near, strict=True):
-        opposite = touch.point[link] - touch.distance[link] * touch.normal[link]
-        mujoco.mj_jac(model, data, of_link, None, touch.point[link], sensor.bodies[link])
-        mujoco.mj_jac(model, data, of_object, None, opposite, sensor.object_body)
-        row[:] = -touch.normal[link] @ (of_link - of_object)
-    upper = gain * np.maximum(touch.distance[near] - min_distance, 0.0)
-    return Rows(matrix, upper, tuple(contact_row_name(int(link) + 1) for link in near))
+    distance, normal, point = touch.distance[near], touch.normal[near], touch.point[near]
+    gradients = sensor.jacobians.at(data, point, near)
+    if sensor.object_moves:
+        opposite = point - distance[:, None] * normal
+        gradients -= sensor.jacobians.at(data, opposite, np.full(near.size, len(touch.distance)))
+    matrix = (-normal[:, None, :] @ gradients)[:, 0]
+    upper = gain * np.maximum(distance - min_distance, 0.0)
+    names = tuple(contact_row_name(link + 1) for link in near.tolist())
+    return trusted(Rows, matrix=matrix, upper=upper, names=names)

@@ -9,7 +9,7 @@ one of soft inequalities, which counts only what exceeds its target.
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -145,8 +145,17 @@ class Bounds:
         _set(self, lower=low, upper=high, names=joints)
 
     def intersect(self, other: "Bounds") -> "Bounds":
-        """Return the bounds that keep both, with the names of these."""
-        return Bounds(np.maximum(self.lower, other.lower), np.minimum(self.upper, other.upper), self.names)
+        """Return the bounds that keep both, with the names of these.
+
+        Raises:
+            InputError: other joints, or bounds that no step keeps.
+        """
+        if self.lower.shape != other.lower.shape:
+            raise InputError(f"the other bounds are of {len(other.lower)} joints; expected {len(self.lower)}, as these.")
+        lower, upper = np.maximum(self.lower, other.lower), np.minimum(self.upper, other.upper)
+        if (lower > upper).any():
+            return Bounds(lower, upper, self.names)  # which says whose
+        return trusted(Bounds, lower=lower, upper=upper, names=self.names)
 
     @staticmethod
     def none(m: int) -> "Bounds":
@@ -260,14 +269,15 @@ class IKProblem:
         for name, width in widths.items():
             if width != m:
                 raise InputError(f"{name} has {width} joints; expected {m}, as many as {next(iter(widths))}.")
+        zeros, ones, free, without, no_equality = _nothing(m)
         _set(
             self,
             levels=tuple(levels),
-            bounds=Bounds.none(m) if bounds is None else bounds,
-            rows=Rows.none(m) if rows is None else rows,
-            reference=finite_array("reference", np.zeros(m) if reference is None else reference, (m,)),
-            equalities=Equalities.none(m) if equalities is None else equalities,
-            metric=_positive_metric(np.ones(m) if metric is None else metric, m),
+            bounds=free if bounds is None else bounds,
+            rows=without if rows is None else rows,
+            reference=zeros if reference is None else finite_array("reference", reference, (m,)),
+            equalities=no_equality if equalities is None else equalities,
+            metric=ones if metric is None else _positive_metric(metric, m),
             noise=fraction("noise", noise, below=NOISIEST),
         )
 
@@ -336,16 +346,15 @@ class IKProblem:
     @cached_property
     def inequalities(self) -> "Rows":
         """Every finite bound and row as one set of rows: upper bounds, then lower bounds, then `rows`."""
-        eye = np.eye(self.joint_count)
-        above, below = np.isfinite(self.bounds.upper), np.isfinite(self.bounds.lower)
-        names = [f"{name} upper" for name, keep in zip(self.bounds.names, above, strict=True) if keep]
-        names += [f"{name} lower" for name, keep in zip(self.bounds.names, below, strict=True) if keep]
-        some = np.isfinite(self.rows.upper)
+        bounds, rows = self.bounds, self.rows
+        above, below, some = np.isfinite(bounds.upper), np.isfinite(bounds.lower), np.isfinite(rows.upper)
+        sides, names = _sides(above.tobytes(), below.tobytes(), bounds.names)
+        kept = slice(None) if some.all() else some
         return trusted(
             Rows,
-            matrix=np.vstack([eye[above], -eye[below], self.rows.matrix[some]]),
-            upper=np.concatenate([self.bounds.upper[above], -self.bounds.lower[below], self.rows.upper[some]]),
-            names=(*names, *_kept(self.rows.names, some)),
+            matrix=np.concatenate([sides, rows.matrix[kept]]),
+            upper=np.concatenate([bounds.upper[above], -bounds.lower[below], rows.upper[kept]]),
+            names=names + (rows.names if kept is not some else _kept(rows.names, some)),
         )
 
     def softened(self, names: Sequence[str]) -> "IKProblem":
@@ -465,15 +474,51 @@ def trusted(kind: type[Record], /, **fields: object) -> Record:
     record = object.__new__(kind)
     for value in fields.values():
         if isinstance(value, np.ndarray):
-            value.setflags(write=False)
-    _set(record, **fields)
+            value.flags.writeable = False
+    vars(record).update(fields)
     return record
+
+
+def trusted_level(matrix: Array, target: Array, weights: Array, name: str) -> Level:
+    """Return an undamped level of kind `"equal"` that needs no check: see `trusted`."""
+    return trusted(Level, matrix=matrix, target=target, weights=weights, name=name, kind="equal", damping=0.0, below="free")
+
+
+def trusted_problem(levels: tuple[Level, ...], bounds: Bounds | None, rows: Rows | None, m: int) -> IKProblem:
+    """Return a problem of `m` joints with reference zero and without equalities, that needs no check: see `trusted`."""
+    zeros, ones, free, without, no_equality = _nothing(m)
+    return trusted(
+        IKProblem,
+        levels=levels,
+        bounds=free if bounds is None else bounds,
+        rows=without if rows is None else rows,
+        reference=zeros,
+        equalities=no_equality,
+        metric=ones,
+        noise=NOISE,
+    )
+
+
+@lru_cache(maxsize=16)
+def _nothing(m: int) -> tuple[Array, Array, Bounds, Rows, Equalities]:
+    """Return what problems of `m` joints have where nothing else is asked for."""
+    return read_only(np.zeros(m)), read_only(np.ones(m)), Bounds.none(m), Rows.none(m), Equalities.none(m)
 
 
 def replaced(record: Record, /, **fields: object) -> Record:
     """Return `record` with some fields changed, unchecked: see `trusted`."""
     kept = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}  # type: ignore[arg-type]
     return trusted(type(record), **kept | fields)
+
+
+@lru_cache(maxsize=16)  # which joints are bounded seldom changes in a loop
+def _sides(above: bytes, below: bytes, joints: tuple[str, ...]) -> tuple[Array, tuple[str, ...]]:
+    """Return the matrix and the names of upper, then of lower bounds, given of which joints there are any."""
+    has_upper, has_lower = np.frombuffer(above, dtype=bool), np.frombuffer(below, dtype=bool)
+    eye = np.eye(len(joints))
+    uppers = tuple(f"{name} upper" for name in _kept(joints, has_upper))
+    lowers = tuple(f"{name} lower" for name in _kept(joints, has_lower))
+    return read_only(np.concatenate([eye[has_upper], -eye[has_lower]])), uppers + lowers
 
 
 def _positive_metric(metric: ArrayLike, m: int) -> Array:

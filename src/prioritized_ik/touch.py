@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.errors import InputError, ModelError
+from prioritized_ik.jacobians import PointJacobians
 from prioritized_ik.validation import Array, positive
 from prioritized_ik.virtual_arms import object_id
 
@@ -43,39 +44,45 @@ class TouchSensor:
 
     Raises:
         ModelError: a geom that the model lacks, or a link that is neither capsule nor sphere.
+
+    Attributes:
+        model: the MuJoCo model.
+        jacobians: of points on the links, base first, then of points on the object.
+        object_moves: whether a joint moves the object.
     """
 
     def __init__(self, model: mujoco.MjModel, link_geoms: Sequence[str], object_geom: str = "object") -> None:
         self.model = model
-        self._links = [object_id(model, "geom", name) for name in link_geoms]
+        self._links = np.array([object_id(model, "geom", name) for name in link_geoms], dtype=int)
         self._object = object_id(model, "geom", object_geom)
         for name, geom in zip(link_geoms, self._links, strict=True):
             if model.geom_type[geom] not in (_CAPSULE, _SPHERE):
                 kind = mujoco.mjtGeom(model.geom_type[geom]).name
                 raise ModelError(f"link geom {name!r} is a {kind}; expected a capsule or a sphere.")
         self.object_body = int(model.geom_bodyid[self._object])
-        self.bodies = [int(model.geom_bodyid[geom]) for geom in self._links]
+        self.bodies = [int(body) for body in model.geom_bodyid[self._links]]
+        self.jacobians = PointJacobians(model, [*self.bodies, self.object_body])
+        self.object_moves = self.jacobians.moves(len(self.bodies))
         self._is_capsule = model.geom_type[self._links] == _CAPSULE
         self._half_lengths = np.where(self._is_capsule, model.geom_size[self._links, 1], 0.0)  # (n,) [m]
 
     def read(self, data: mujoco.MjData) -> Touch:
         """Return the reading at the current positions of `data`. Needs `mj_kinematics`."""
         n = len(self._links)
-        distance, point = np.empty(n), np.empty((n, 3))
-        segment = np.empty(6)
-        for i, geom in enumerate(self._links):
-            distance[i] = mujoco.mj_geomDistance(self.model, data, geom, self._object, REACH, segment)
-            point[i] = segment[:3]
+        segments = np.empty((n, 6))  # from the nearest point on each link to that on the object
+        pairs = zip(self._links.tolist(), segments, strict=True)
+        measured = [mujoco.mj_geomDistance(self.model, data, geom, self._object, REACH, to) for geom, to in pairs]
+        distance, point = np.array(measured), segments[:, :3].copy()
         # The normal runs from the surface point to the capsule's core, a radius away: well defined at zero distance,
         # where the segment between the two nearest points is not.
         centre = data.geom_xpos[self._links]
         axis = data.geom_xmat[self._links].reshape(n, 3, 3)[:, :, 2]
-        along = np.clip(np.einsum("ni,ni->n", point - centre, axis), -self._half_lengths, self._half_lengths)
+        along = np.einsum("ni,ni->n", point - centre, axis)
+        along = np.minimum(np.maximum(along, -self._half_lengths), self._half_lengths)
         inward = centre + along[:, None] * axis - point
-        near = distance < REACH
-        normal = np.zeros((n, 3))
-        normal[near] = inward[near] / np.linalg.norm(inward[near], axis=1, keepdims=True)
-        return Touch(distance, normal, point)
+        size = np.sqrt((inward * inward).sum(axis=1))
+        size[distance >= REACH] = np.inf
+        return Touch(distance, inward / size[:, None], point)
 
 
 def update_contact(

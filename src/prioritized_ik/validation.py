@@ -65,7 +65,10 @@ def finite_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
     Raises:
         InputError: wrong shape, or NaN or an infinity, naming the first place where it stands.
     """
-    array = shaped_array(name, value, shape)
+    array = _array_of_shape(name, value, shape)
+    if _unremarkable(array):
+        return array
+    _refuse_unusable(name, array)
     bad = ~np.isfinite(array)
     if bad.any():
         place = tuple(int(i) for i in np.argwhere(bad)[0])
@@ -75,12 +78,24 @@ def finite_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
 
 def shaped_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     """Return a read-only float copy of `value`, which must have `shape` (None: any length) and hold no NaN."""
+    array = _array_of_shape(name, value, shape)
+    if not _unremarkable(array):
+        _refuse_unusable(name, array)
+    return array
+
+
+def _array_of_shape(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} is not an array of numbers ({error}); expected shape {_text(shape)}.") from error
     if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
         raise InputError(f"{name} has shape {array.shape}; expected {_text(shape)}.")
+    array.setflags(write=False)
+    return array
+
+
+def _refuse_unusable(name: str, array: Array) -> None:
     if np.isnan(array).any():
         place = [int(i) for i in np.argwhere(np.isnan(array))[0]]
         raise InputError(f"{name}{place} is nan; expected numbers only.")
@@ -88,8 +103,11 @@ def shaped_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
     if beyond.any():
         place = [int(i) for i in np.argwhere(beyond)[0]]
         raise InputError(f"{name}{place} is {array[tuple(place)]}; expected at most {LARGEST:g}: choose other units.")
-    array.setflags(write=False)
-    return array
+
+
+def _unremarkable(array: Array) -> bool:
+    """Whether all of `array` is finite and far from too large, in one look: if not, it is worth a closer one."""
+    return bool(np.vdot(array, array) <= LARGEST)
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:

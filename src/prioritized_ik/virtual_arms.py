@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError, ModelError
+from prioritized_ik.jacobians import PointJacobians
 from prioritized_ik.validation import Array, finite_array
 
 _OBJECT_TYPES = {
@@ -72,7 +73,8 @@ class VirtualArms:
         self.axes = axes
         self._rows = ["xyz".index(axis) for axis in axes]
         located = [_locate(model, point) for point in self.points]
-        self._bodies = [body for body, _ in located]
+        self._bodies = np.array([body for body, _ in located])
+        self._jacobians = PointJacobians(model, self._bodies.tolist())
         self._offsets = np.array([offset for _, offset in located])  # (n, 3), body frame
 
     @property
@@ -87,14 +89,15 @@ class VirtualArms:
 
     def positions(self, data: mujoco.MjData) -> Array:
         """Return the end points `(n, l)` [m]. Needs `mj_kinematics` (see `models.update_kinematics`)."""
-        return self._world_points(data)[:, self._rows]
+        points = self._world_points(data)
+        return points if self._rows == [0, 1, 2] else points[:, self._rows]
 
     def jacobian(self, data: mujoco.MjData) -> Array:
         """Return the stacked Jacobian J `(L, m)` with dX_v = J dθ, L = l n (Eqs. 1, 3). Needs `mj_comPos`."""
-        blocks = np.empty((self.count, 3, self.model.nv))
-        for block, body, point in zip(blocks, self._bodies, self._world_points(data), strict=True):
-            mujoco.mj_jac(self.model, data, block, None, point, body)  # Eq. (1)
-        return blocks[:, self._rows].reshape(-1, self.model.nv)
+        blocks = self._jacobians.at(data, self._world_points(data))  # Eq. (1)
+        if self._rows != [0, 1, 2]:
+            blocks = blocks[:, self._rows]
+        return blocks.reshape(-1, self.model.nv)
 
     def _world_points(self, data: mujoco.MjData) -> Array:
         rotations = data.xmat[self._bodies].reshape(-1, 3, 3)

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from prioritized_ik.limits import contact_rows, joint_range_bounds, step_bounds
 from prioritized_ik.models import update_kinematics
-from prioritized_ik.problem import IKProblem, Level
+from prioritized_ik.problem import IKProblem, Level, trusted_level, trusted_problem
 from prioritized_ik.touch import Touch, TouchSensor, update_contact
-from prioritized_ik.validation import Array
+from prioritized_ik.validation import Array, read_only
 from prioritized_ik.virtual_arms import VirtualArms
 from prioritized_ik.weights import diagonal_of_weights, winding_priorities, winding_weights
 from prioritized_ik.winding.plan import driven_arms, first_and_last_in_contact, plan
@@ -70,7 +70,8 @@ class WindingController:
         arm = settings.arm
         self.arms = VirtualArms(self.model, arm.end_sites)
         self.sensor = TouchSensor(self.model, arm.link_geoms)
-        self._links = [self.model.body(name).id for name in arm.link_geoms]
+        self._links = np.array([self.model.body(name).id for name in arm.link_geoms])
+        self._groups: dict[int, tuple[RowGroup, ...]] = {}  # by k
         self._step_bounds = step_bounds(self.model, settings.max_step)
 
     def observe(self, q: Array, was_in_contact: NDArray[np.bool_]) -> Situation:
@@ -79,7 +80,7 @@ class WindingController:
         update_kinematics(self.model, self.data, q)
         touch = self.sensor.read(self.data)
         in_contact = update_contact(was_in_contact, touch.distance, settings.contact_distance, settings.release_distance)
-        directions = self.data.xmat[self._links].reshape(-1, 3, 3)[:, :, 0].copy()
+        directions = self.data.xmat[self._links, ::3]
         contact_vectors = np.where(in_contact[:, None], touch.normal, 0.0)
         first, last = first_and_last_in_contact(in_contact)
         desired, signs = plan(
@@ -97,12 +98,10 @@ class WindingController:
     def problem(self, q: Array, situation: Situation) -> IKProblem:
         """Return the problem of the step from `q`, where `situation` was observed last."""
         settings = self.settings
-        k, n, kind = situation.last, settings.arm.links, settings.weights
-        levels = levels_of(
-            self.arms.jacobian(self.data),
-            situation.desired.ravel(),
-            diagonal_of_weights(winding_weights(k, n, kind), AXES),
-            np.repeat(winding_priorities(k, n, kind), AXES),
+        jacobian, desired = self.arms.jacobian(self.data), situation.desired.flatten()
+        levels = tuple(
+            trusted_level(jacobian[group.rows], desired[group.rows], group.weights, group.name)
+            for group in self._groups_after(situation.last)
         )
         bounds, rows = None, None
         if settings.limits:
@@ -115,7 +114,41 @@ class WindingController:
                 min_distance=settings.min_distance,
                 gain=settings.contact_gain,
             )
-        return IKProblem(levels, bounds, rows)
+        return trusted_problem(levels, bounds, rows, self.model.nv)
+
+    def _groups_after(self, k: int) -> tuple["RowGroup", ...]:
+        """Return each level's rows where k is the last link in contact."""
+        if k not in self._groups:
+            n, kind = self.settings.arm.links, self.settings.weights
+            weights = diagonal_of_weights(winding_weights(k, n, kind), AXES)
+            self._groups[k] = row_groups(weights, np.repeat(winding_priorities(k, n, kind), AXES))
+        return self._groups[k]
+
+
+@dataclass(frozen=True)
+class RowGroup:
+    """The rows of one level among all virtual arms' stacked rows, their weights, and what the level is called."""
+
+    rows: slice
+    weights: Array
+    name: str
+
+
+def row_groups(weights: Array, priorities: NDArray[np.int64]) -> tuple[RowGroup, ...]:
+    """Return the rows of each level, those of the lowest number first.
+
+    Args:
+        weights: diagonal of W `(L,)`.
+        priorities: the number of each row's level `(L,)`; levels are whole runs of rows.
+    """
+    groups = []
+    for number in np.unique(priorities):
+        rows = np.flatnonzero(priorities == number)
+        first, last = rows[0] // AXES + 1, rows[-1] // AXES + 1
+        name = f"virtual arm {first}" if first == last else f"virtual arms {first} to {last}"
+        run = slice(int(rows[0]), int(rows[-1]) + 1)
+        groups.append(RowGroup(run, read_only(weights[run]), name))
+    return tuple(groups)
 
 
 def levels_of(jacobian: Array, desired: Array, weights: Array, priorities: NDArray[np.int64]) -> tuple[Level, ...]:
@@ -125,12 +158,12 @@ def levels_of(jacobian: Array, desired: Array, weights: Array, priorities: NDArr
         jacobian: J `(L, m)`.
         desired: dX_v* `(L,)` [m].
         weights: diagonal of W `(L,)`.
-        priorities: the number of each row's level `(L,)`.
+        priorities: the number of each row's level `(L,)`; levels are whole runs of rows.
+
+    Raises:
+        InputError: values that are not finite, a weight below zero.
     """
-    levels = []
-    for number in np.unique(priorities):
-        rows = np.flatnonzero(priorities == number)
-        first, last = rows[0] // AXES + 1, rows[-1] // AXES + 1
-        name = f"virtual arm {first}" if first == last else f"virtual arms {first} to {last}"
-        levels.append(Level(jacobian[rows], desired[rows], weights[rows], name))
-    return tuple(levels)
+    return tuple(
+        Level(jacobian[group.rows], desired[group.rows], group.weights, group.name)
+        for group in row_groups(weights, priorities)
+    )

@@ -1,11 +1,12 @@
-"""Where the virtual end points should go to wind around the object (Eqs. 18-22). Pure functions.
+"""Where the virtual end points should go to wind around the object (Eqs. 18-22). Pure functions, of one arm or of many.
 
-Vectors: a^i is the unit direction of link i and c^i its contact vector, the unit normal from the object *into* the link,
-zero without contact. The scan of the paper prints a and α alike; the forms here keep them apart.
+Vectors stand in the last axis, so that each function takes one arm's `(3,)` or all arms' `(n, 3)`: a^i is the unit
+direction of link i and c^i its contact vector, the unit normal from the object *into* the link, zero without contact. The
+scan of the paper prints a and α alike; the forms here keep them apart.
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.validation import Array
 
@@ -13,28 +14,30 @@ from prioritized_ik.validation import Array
 #: every step; 0.05 is an angle of 3 degrees, more than a step of 4 mm turns a 60 mm link by.
 DEAD_BAND = 0.05
 
+_YZX, _ZXY = np.array([1, 2, 0]), np.array([2, 0, 1])
+
 
 def plane_normal(link_direction: Array, contact_vector: Array) -> Array:
-    """Eq. (22): e^{i-1} = a^{i-1} x c^{i-1} `(3,)`, normal of the plane P of link and contact.
+    """Eq. (22): e^{i-1} = a^{i-1} x c^{i-1} `(…, 3)`, normal of the plane P of link and contact.
 
     Both indices are i - 1: with a^i, as the text around Eq. (22) has it, a^i·e^{i-1} would vanish identically.
     """
     return _cross(link_direction, contact_vector)
 
 
-def side_sign(link_direction: Array, normal: Array, dead_band: float = DEAD_BAND) -> float:
-    """Eq. (21): s^i = -sign(a^i·e^{i-1}), and 0 within the dead band."""
-    out_of_plane = float(link_direction @ normal)
-    return 0.0 if abs(out_of_plane) <= dead_band else -float(np.sign(out_of_plane))
+def side_sign(link_direction: Array, normal: Array, dead_band: float = DEAD_BAND) -> Array:
+    """Eq. (21): s^i = -sign(a^i·e^{i-1}) `(…)`, and 0 within the dead band."""
+    out_of_plane = (link_direction * normal).sum(axis=-1)
+    return np.where(np.abs(out_of_plane) <= dead_band, 0.0, -np.sign(out_of_plane))
 
 
-def into_plane(sign: float, normal: Array) -> Array:
-    """Eq. (20), first half: β^i = s^i e^{i-1} `(3,)`, towards the plane P."""
-    return sign * normal
+def into_plane(sign: ArrayLike, normal: Array) -> Array:
+    """Eq. (20), first half: β^i = s^i e^{i-1} `(…, 3)`, towards the plane P."""
+    return np.asarray(sign)[..., None] * normal
 
 
 def towards_object(link_direction: Array, normal: Array) -> Array:
-    """Eq. (20), second half: γ^i = a^i x e^{i-1} `(3,)`, in the plane P and towards the object.
+    """Eq. (20), second half: γ^i = a^i x e^{i-1} `(…, 3)`, in the plane P and towards the object.
 
     The scan prints α^i for a^i, which would define α^i by itself.
     """
@@ -42,33 +45,34 @@ def towards_object(link_direction: Array, normal: Array) -> Array:
 
 
 def winding_direction(into: Array, towards: Array) -> Array:
-    """Eq. (19): α^i = β^i + γ^i `(3,)`."""
+    """Eq. (19): α^i = β^i + γ^i `(…, 3)`."""
     return into + towards
 
 
 def desired_displacement(
-    direction: Array, previous_in_contact: bool, in_contact: bool, *, speed: float, dt: float
+    direction: Array, previous_in_contact: ArrayLike, in_contact: ArrayLike, *, speed: float, dt: float
 ) -> Array:
-    """Eq. (18): dX^{i*} = η dt α^i M^{i-1} (1 - M^i) `(3,)` [m].
+    """Eq. (18): dX^{i*} = η dt α^i M^{i-1} (1 - M^i) `(…, 3)` [m].
 
     Equal to the printed (1 - M^i)(M^{i-1} - M^i) for M in {0, 1}. η is a speed [m/s]: 2.0 read as metres would be 33
     link lengths a step.
     """
-    return speed * dt * direction * (bool(previous_in_contact) and not in_contact)
+    driven = np.logical_and(previous_in_contact, np.logical_not(in_contact))
+    return speed * dt * direction * driven[..., None]
 
 
 def plan_arm(
     previous_direction: Array,
     previous_contact_vector: Array,
-    previous_in_contact: bool,
+    previous_in_contact: ArrayLike,
     direction: Array,
-    in_contact: bool,
+    in_contact: ArrayLike,
     *,
     speed: float,
     dt: float,
     dead_band: float = DEAD_BAND,
-) -> tuple[Array, float]:
-    """Return dX^{i*} `(3,)` [m] and s^i of one arm, from links i - 1 and i alone (Eqs. 18-22).
+) -> tuple[Array, Array]:
+    """Return dX^{i*} `(…, 3)` [m] and s^i `(…)` of an arm, from links i - 1 and i alone (Eqs. 18-22).
 
     Nothing else is read, so that all arms can be planned in parallel.
     """
@@ -87,7 +91,7 @@ def plan(
     dt: float,
     dead_band: float = DEAD_BAND,
 ) -> tuple[Array, Array]:
-    """Return the desired displacements dX* `(n, 3)` [m] and the signs s `(n,)` of all arms.
+    """Return the desired displacements dX* `(n, 3)` [m] and the signs s `(n,)` of all arms, planned in parallel.
 
     Args:
         directions: a `(n, 3)`.
@@ -98,17 +102,16 @@ def plan(
         dead_band: see `DEAD_BAND`.
     """
     displacements, signs = np.zeros_like(directions), np.zeros(len(directions))
-    for i in range(1, len(directions)):
-        displacements[i], signs[i] = plan_arm(
-            directions[i - 1],
-            contact_vectors[i - 1],
-            in_contact[i - 1],
-            directions[i],
-            in_contact[i],
-            speed=speed,
-            dt=dt,
-            dead_band=dead_band,
-        )
+    displacements[1:], signs[1:] = plan_arm(
+        directions[:-1],
+        contact_vectors[:-1],
+        in_contact[:-1],
+        directions[1:],
+        in_contact[1:],
+        speed=speed,
+        dt=dt,
+        dead_band=dead_band,
+    )
     return displacements, signs
 
 
@@ -134,4 +137,5 @@ def first_and_last_in_contact(in_contact: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    """Return a x b of vectors in the last axis, ten times faster than `numpy.cross` on small arrays."""
+    return a.take(_YZX, axis=-1) * b.take(_ZXY, axis=-1) - a.take(_ZXY, axis=-1) * b.take(_YZX, axis=-1)

@@ -4,7 +4,7 @@ A robot's structure is fixed: its levels, limits, rows and equalities. Random ar
 stand at a limit or near it, and its targets: what it would see at another configuration, near or out of reach of a step.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -14,8 +14,8 @@ import numpy as np
 from prioritized_ik.limits import joint_names, joint_range_bounds
 from prioritized_ik.models import update_kinematics
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.validation import Array
 
-Array = np.ndarray
 Vector = tuple[float, float, float]
 
 AT_LIMIT = 0.15  # of a configuration's joints stand at a limit
@@ -51,10 +51,12 @@ def chain(joints: Iterable[Joint], inside: str) -> str:
 
 
 def site(name: str, *offset: float) -> str:
+    """Return a site at `offset` [m] as MJCF."""
     return f'<site name="{name}" pos="{" ".join(map(str, offset))}"/>'
 
 
 def mjcf(bodies: str) -> str:
+    """Return the MJCF of a model that holds `bodies`."""
     return f'<mujoco><compiler angle="radian" autolimits="true"/><worldbody>{bodies}</worldbody></mujoco>'
 
 
@@ -179,7 +181,14 @@ HUMANOID = mjcf(
 
 @dataclass(frozen=True)
 class Scene:
-    """A robot at a configuration, and what it is drawn to: itself at another one."""
+    """A robot at a configuration, and what it is drawn to: itself at another one.
+
+    Attributes:
+        model: of the robot.
+        now: its state at the configuration, positions and terms for Jacobians up to date.
+        wanted: the same at the other one.
+        step: longest step of each degree of freedom `(m,)` [rad, m].
+    """
 
     model: mujoco.MjModel
     now: mujoco.MjData
@@ -221,7 +230,7 @@ class Scene:
 
     def jacobians(self, site_name: str) -> tuple[Array, Array]:
         """Return the Jacobians of a site's position and orientation, each `(3, m)`."""
-        position, rotation = np.empty((2, 3, self.model.nv))
+        position, rotation = np.empty((3, self.model.nv)), np.empty((3, self.model.nv))
         mujoco.mj_jacSite(self.model, self.now, position, rotation, self.model.site(site_name).id)
         return position, rotation
 
@@ -250,9 +259,15 @@ class Scene:
 
     def pose(self, site_name: str, weights: Array) -> Level:
         """Return one level of a site's wanted position [m] and orientation [rad]."""
-        position, orientation = self.position(site_name), self.orientation(site_name)
-        matrix = np.vstack([position.matrix, orientation.matrix])
-        return Level(matrix, np.concatenate([position.target, orientation.target]), weights, f"pose of {site_name}")
+        way = self.wanted.site(site_name).xpos - self.now.site(site_name).xpos
+        target = np.concatenate([way, self.turn(site_name)])
+        return Level(np.vstack(self.jacobians(site_name)), target, weights, f"pose of {site_name}")
+
+    def positions(self, sites: Sequence[str], name: str) -> Level:
+        """Return one level of several sites' wanted positions [m]."""
+        matrix = np.vstack([self.jacobians(site_name)[0] for site_name in sites])
+        ways = [self.wanted.site(site_name).xpos - self.now.site(site_name).xpos for site_name in sites]
+        return Level(matrix, np.concatenate(ways), name=name)
 
     def stay(self, sites: Iterable[str], name: str) -> Level:
         """Return the level of sites that are not to move or turn."""
@@ -290,80 +305,121 @@ class Scene:
 
 @cache
 def compiled(text: str) -> mujoco.MjModel:
+    """Return the model of an MJCF text."""
     return mujoco.MjModel.from_xml_string(text)
 
 
-def arm_7(seed: int) -> IKProblem:
-    """A redundant arm on a table: position ≻ orientation ≻ posture."""
-    scene = Scene.of(ARM_7, seed, slide=0.05, hinge=0.1, wandering=0.0)
-    levels = [scene.position("tool"), scene.orientation("tool"), scene.posture()]
-    return IKProblem(levels, scene.bounds(), scene.above("tool", 0.05))
+# Hierarchies.
 
 
-def industrial_6(seed: int) -> IKProblem:
-    """A large arm with a tool that is round: position ≻ pointing ≻ posture."""
-    scene = Scene.of(INDUSTRIAL_6, seed, slide=0.05, hinge=0.05, wandering=0.0)
-    levels = [scene.position("tool"), scene.pointing("tool", axis=0), scene.posture()]
-    return IKProblem(levels, scene.bounds(), scene.above("tool", 0.3))
+@dataclass(frozen=True)
+class Robot:
+    """A robot and what its user asks of it.
+
+    Attributes:
+        text: its MJCF.
+        levels: what makes each level of a scene, the most important first.
+        slide: longest step of a slide, and of a free joint's position [m].
+        hinge: longest step of a hinge, and of a free joint's orientation [rad].
+        wandering: how far a free joint is from where the model has it [m, rad].
+        rows: what makes its hard rows, if it has any.
+        equalities: what makes its hard equalities, if it has any.
+    """
+
+    text: str
+    levels: tuple[Callable[[Scene], Level], ...]
+    slide: float = 0.05
+    hinge: float = 0.1
+    wandering: float = 0.0
+    rows: Callable[[Scene], Rows] | None = None
+    equalities: Callable[[Scene], Equalities] | None = None
+
+    def scene(self, seed: int) -> Scene:
+        """Return the random scene of `seed`."""
+        return Scene.of(self.text, seed, self.slide, self.hinge, self.wandering)
+
+    def problem(self, scene: Scene, levels: int | None = None) -> IKProblem:
+        """Return the problem of a scene's next step, with the first `levels` only if given."""
+        return IKProblem(
+            [level(scene) for level in self.levels[:levels]],
+            scene.bounds(),
+            None if self.rows is None else self.rows(scene),
+            equalities=None if self.equalities is None else self.equalities(scene),
+        )
 
 
-def mobile_arm(seed: int) -> IKProblem:
-    """An arm on wheels, which do not slip sideways: pose (10 mm count as 0.1 rad) ≻ base at rest ≻ posture."""
-    scene = Scene.of(MOBILE_ARM, seed, slide=0.05, hinge=0.1, wandering=0.0)
+def base_at_rest(scene: Scene) -> Level:
+    """Return the level of a base of two slides and a hinge that is not to move."""
+    return Level(np.eye(scene.model.nv)[:3], np.zeros(3), [1.0, 1.0, 0.25], "base at rest")
+
+
+def no_slip(scene: Scene) -> Equalities:
+    """Return the equality of wheels that do not slip sideways."""
     heading = scene.now.qpos[2]
     sideways = np.zeros((1, scene.model.nv))
     sideways[0, :2] = -np.sin(heading), np.cos(heading)
-    rest = Level(np.eye(scene.model.nv)[:3], np.zeros(3), [1.0, 1.0, 0.25], "base at rest")
-    levels = [scene.pose("tool", np.repeat([100.0, 1.0], 3)), rest, scene.posture()]
-    wheels = Equalities(sideways, [0.0], ["no slip"])
-    return IKProblem(levels, scene.bounds(), scene.above("tool", 0.1), equalities=wheels)
+    return Equalities(sideways, [0.0], ["no slip"])
 
 
-def gantry(seed: int) -> IKProblem:
-    """A crane of 15 m with a wrist: position ≻ pointing ≻ posture."""
-    scene = Scene.of(GANTRY, seed, slide=0.5, hinge=0.1, wandering=0.0)
-    levels = [scene.position("tool"), scene.pointing("tool", axis=2), scene.posture()]
-    return IKProblem(levels, scene.bounds(), scene.above("tool", 0.2))
-
-
-def scara(seed: int) -> IKProblem:
-    """An arm that turns about one axis only: position ≻ orientation, which has rank 1 ≻ posture."""
-    scene = Scene.of(SCARA, seed, slide=0.02, hinge=0.1, wandering=0.0)
-    levels = [scene.position("tool"), scene.orientation("tool"), scene.posture()]
-    return IKProblem(levels, scene.bounds(), scene.above("tool", 0.15))
-
-
-def humanoid(seed: int) -> IKProblem:
-    """A humanoid: feet ≻ balance ≻ centre of mass ≻ hands ≻ gaze ≻ posture; balance keeps its mass between the feet."""
-    scene = Scene.of(HUMANOID, seed, slide=0.05, hinge=0.1, wandering=0.1)
+def balance(scene: Scene) -> Level:
+    """Return the soft level that keeps the centre of mass between the feet."""
     feet = np.array([scene.now.site(f"{side} foot").xpos[:2] for side in ("left", "right")])
     jacobian, mass = scene.jacobian_of_mass()[:2], scene.now.subtree_com[0][:2]
     room = np.concatenate([feet.max(axis=0) + 0.05 - mass, mass - feet.min(axis=0) + 0.05])
-    levels = [
-        scene.stay(["left foot", "right foot"], "feet"),
-        Level(np.vstack([jacobian, -jacobian]), room, name="balance", kind="at_most"),
-        scene.centre_of_mass(),
-        Level(
-            np.vstack([scene.position(f"{side} hand").matrix for side in ("left", "right")]),
-            np.concatenate([scene.position(f"{side} hand").target for side in ("left", "right")]),
-            name="hands",
+    return Level(np.vstack([jacobian, -jacobian]), room, name="balance", kind="at_most")
+
+
+ROBOTS: dict[str, Robot] = {
+    # A redundant arm on a table.
+    "arm of 7 joints": Robot(
+        ARM_7,
+        (lambda scene: scene.position("tool"), lambda scene: scene.orientation("tool"), Scene.posture),
+        rows=lambda scene: scene.above("tool", 0.05),
+    ),
+    # A large arm with a tool that is round.
+    "industrial arm": Robot(
+        INDUSTRIAL_6,
+        (lambda scene: scene.position("tool"), lambda scene: scene.pointing("tool", axis=0), Scene.posture),
+        hinge=0.05,
+        rows=lambda scene: scene.above("tool", 0.3),
+    ),
+    # An arm on wheels, which do not slip sideways; 10 mm count as 0.1 rad.
+    "arm on wheels": Robot(
+        MOBILE_ARM,
+        (lambda scene: scene.pose("tool", np.repeat([100.0, 1.0], 3)), base_at_rest, Scene.posture),
+        rows=lambda scene: scene.above("tool", 0.1),
+        equalities=no_slip,
+    ),
+    # A crane of 15 m with a wrist.
+    "gantry": Robot(
+        GANTRY,
+        (lambda scene: scene.position("tool"), lambda scene: scene.pointing("tool", axis=2), Scene.posture),
+        slide=0.5,
+        rows=lambda scene: scene.above("tool", 0.2),
+    ),
+    # An arm that turns about one axis only, so that its orientation has rank 1.
+    "SCARA": Robot(
+        SCARA,
+        (lambda scene: scene.position("tool"), lambda scene: scene.orientation("tool"), Scene.posture),
+        slide=0.02,
+        rows=lambda scene: scene.above("tool", 0.15),
+    ),
+    "humanoid": Robot(
+        HUMANOID,
+        (
+            lambda scene: scene.stay(["left foot", "right foot"], "feet"),
+            balance,
+            Scene.centre_of_mass,
+            lambda scene: scene.positions(["left hand", "right hand"], "hands"),
+            lambda scene: scene.pointing("eyes", axis=0),
+            Scene.posture,
         ),
-        scene.pointing("eyes", axis=0),
-        scene.posture(),
-    ]
-    return IKProblem(levels, scene.bounds())
-
-
-ROBOTS: dict[str, Callable[[int], IKProblem]] = {
-    "arm of 7 joints": arm_7,
-    "industrial arm": industrial_6,
-    "arm on wheels": mobile_arm,
-    "gantry": gantry,
-    "SCARA": scara,
-    "humanoid": humanoid,
+        wandering=0.1,
+    ),
 }
 
 
 def robot_steps(name: str, seed: int) -> IKProblem:
     """Return a random step of the robot `name`, a key of `ROBOTS`."""
-    return ROBOTS[name](seed)
+    robot = ROBOTS[name]
+    return robot.problem(robot.scene(seed))

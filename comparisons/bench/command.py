@@ -1,0 +1,50 @@
+"""The command `bench`. Heavy imports wait until it runs."""
+
+import os
+from pathlib import Path
+
+import click
+
+from comparisons.command import FILE_WIDTH
+from prioritized_ik.cli import writable_file
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="Less than a minute, for a look: not for figures to quote.")
+@click.option("--json", "json_file", type=click.Path(dir_okay=False), help="File for all figures, as JSON.")
+@click.option("--markdown", "markdown_file", type=click.Path(dir_okay=False), help="File for the tables, as Markdown.")
+@click.option("--plot", "plot_file", type=click.Path(dir_okay=False), help="File for a plot: .png, .svg or .pdf.")
+def bench(quick: bool, json_file: str | None, markdown_file: str | None, plot_file: str | None) -> None:
+    """Time a control step beside mink, pink, placo, DAQP and LAPACK: one process, one BLAS thread, ratios first.
+
+    The winding arm and six robots, one to six strict levels, certificate always on. Takes some minutes.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from threadpoolctl import threadpool_limits
+
+    from comparisons.bench import report
+    from comparisons.bench.run import figures, run
+    from comparisons.bench.settings import BenchSettings
+    from comparisons.results import write_json
+
+    for file in (json_file, markdown_file, plot_file):
+        if file is not None:
+            writable_file(file)
+    if plot_file is not None:
+        report.kind_of_plot(plot_file)
+    bars = Console(stderr=True)
+    columns = (TextColumn("{task.description:<12}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with threadpool_limits(1), Progress(*columns, console=bars, disable=not bars.is_terminal, transient=True) as progress:
+        bar = progress.add_task("start")
+        measured = run(
+            BenchSettings.quick() if quick else BenchSettings(),
+            lambda what, done, total: progress.update(bar, description=what, completed=done, total=total),
+        )
+    if json_file is not None:
+        write_json(Path(json_file), figures(measured))
+    if markdown_file is not None:
+        report.write_markdown(Path(markdown_file), measured)
+    if plot_file is not None:
+        report.write_plot(Path(plot_file), measured)
+    report.show(measured, Console(width=None if os.isatty(1) else FILE_WIDTH))

@@ -1,0 +1,63 @@
+"""How much a bench measures, in one frozen record."""
+
+from dataclasses import dataclass
+
+from prioritized_ik.models import DIRECTIONS
+from prioritized_ik.validation import at_least
+from prioritized_ik.weights import KINDS
+
+ROBOT_LEVELS = (1, 2, 3, 6)
+
+
+@dataclass(frozen=True)
+class BenchSettings:
+    """Settings of one bench.
+
+    Attributes:
+        directions: keys of `models.DIRECTIONS`.
+        weights: of the windings, some of `weights.KINDS`.
+        stretches: of each winding, evenly spaced and each in succession, are timed.
+        stretch: steps in one.
+        changes: of contact that are timed of each winding besides, evenly spaced.
+        repeats: of every stretch and track; a step's time is the median over them.
+        tracks: random configurations that each robot starts from.
+        track: steps from each of them.
+        links: of the arms by which the growth is shown.
+        largest_rival: links up to which the growth is shown of other programs too.
+        starts: fresh processes that the first call is timed in.
+        profiled: steps under the profiler.
+    """
+
+    directions: tuple[str, ...] = tuple(DIRECTIONS)
+    weights: tuple[str, ...] = KINDS
+    stretches: int = 6
+    stretch: int = 12
+    changes: int = 6
+    repeats: int = 3
+    tracks: int = 8
+    track: int = 6
+    links: tuple[int, ...] = (8, 17, 34, 68, 100, 200, 400)
+    largest_rival: int = 100
+    starts: int = 5
+    profiled: int = 100
+
+    def __post_init__(self) -> None:
+        for name in ("stretches", "stretch", "changes", "repeats", "tracks", "track", "starts", "profiled"):
+            at_least(name, getattr(self, name), 1)
+
+    @staticmethod
+    def quick() -> "BenchSettings":
+        """Return settings that take less than a minute: for a look, not for figures to quote."""
+        return BenchSettings(
+            directions=("up", "back"),
+            stretches=2,
+            stretch=4,
+            changes=2,
+            repeats=1,
+            tracks=2,
+            track=3,
+            links=(8, 17, 34),
+            largest_rival=17,
+            starts=1,
+            profiled=20,
+        )
