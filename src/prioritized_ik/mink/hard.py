@@ -15,7 +15,7 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.limits import joint_names
 from prioritized_ik.mink.errors import InfeasibleIkError
 from prioritized_ik.mink.levels import rows_of
-from prioritized_ik.mink.names import limit_names, row_name, task_name
+from prioritized_ik.mink.names import numbered, row_name, task_name
 from prioritized_ik.problem import Bounds, Equalities, Rows
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.tolerances import ROUNDING
@@ -73,7 +73,8 @@ def hard_limits(configuration: mink.Configuration, limits: Sequence[mink.Limit] 
         if not isinstance(limit, mink.Limit):
             raise InputError(f"limits holds {limit!r}; expected mink's limits.")
     pool = _Pool(np.full(model.nv, -np.inf), np.full(model.nv, np.inf))
-    for limit, name in zip(chosen, limit_names(chosen), strict=True):
+    called = numbered([type(limit).__name__ for limit in chosen])
+    for limit, name in zip(chosen, called, strict=True):
         _collect(pool, configuration, limit, name, dt)
     joints = joint_names(model)
     _part(pool, joints)
@@ -127,13 +128,15 @@ def hard_tasks(configuration: mink.Configuration, constraints: Sequence[mink.Tas
         InfeasibleIkError: a row that no joint moves and that is not met.
     """
     matrices, sides, names = [np.zeros((0, configuration.nv))], [np.zeros(0)], []
-    for task in constraints or ():
+    chosen = list(constraints or ())
+    for task in chosen:
         if not isinstance(task, mink.Task):
             raise InputError(f"constraints holds {task!r}; expected mink's tasks with a Jacobian and an error.")
+    for task, name in zip(chosen, numbered([task_name(task) for task in chosen]), strict=True):
         matrix, error = rows_of(configuration, task)
         matrices.append(matrix)
         sides.append(-task.gain * error)
-        names += [f"{task_name(task)} row {place + 1}" for place in range(len(error))]
+        names += [f"{name} row {place + 1}" for place in range(len(error))]
     matrix, target = np.vstack(matrices), np.concatenate(sides)
     rounding = ROUNDING * float(np.abs(target).max(initial=0.0))
     for place in np.flatnonzero(~matrix.any(axis=1) & (np.abs(target) > rounding)):

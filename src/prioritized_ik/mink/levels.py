@@ -4,7 +4,9 @@ The costs stay weights and are not folded into the rows, as mink's own QP has th
 damping of mink's QP, `damping` plus μ = lm_damping ‖cost · gain · e‖² of each task, is `Level.damping`: of one level it
 makes mink's objective, term by term. Rows of damping in a level above others would take every joint from those below, so
 such a level hands its damped optimum down instead (see `solvers.damping`). The damping that a level counts is its own and
-that of all above: a level that strains makes those below careful, never those above.
+that of all above: a level that strains makes those below careful, never those above. Where a task is out of reach and
+nearly singular, levels below would swing in the null space that turns with every step; such a level keeps its rows of
+damping, unless told otherwise.
 """
 
 from collections.abc import Mapping, Sequence
@@ -44,7 +46,7 @@ def grouped(tasks: Tasks, priority: Mapping[BaseTask, int] | None) -> list[list[
     """Return the tasks of each level, the most important first.
 
     Args:
-        tasks: tasks, all in one level; or lists of tasks, one a level, where a task by itself is a level too.
+        tasks: all in one level; or lists of tasks, one a level, where a task by itself is a level too.
         priority: the level of each task, smaller numbers first; only with tasks that are not nested.
 
     Raises:
@@ -80,25 +82,37 @@ def levels_of(
         configuration: where the robot is.
         groups: of tasks, see `grouped`.
         damping: of every level.
-        below: what a level above others leaves to those below, see `Level`.
+        below: what a level above others leaves to those below: "free", or "hold" where it strains.
     """
     levels: list[Level] = []
     shared = damping
     for number, tasks in enumerate(groups, 1):
         parts = [objective(configuration, task) for task in tasks]
-        shared += sum(part.damping for part in parts)
-        last = number == len(groups)  # it holds every joint, as nobody needs what it leaves: one solve instead of two
+        own = sum(part.damping for part in parts)
+        shared += own
+        matrix = np.vstack([np.zeros((0, configuration.nv)), *(part.matrix for part in parts)])
+        weights = np.concatenate([np.zeros(0), *(part.weights for part in parts)])
+        last = number == len(groups)  # nobody needs what it leaves: one solve instead of two
+        holds = last or (below == "hold" and _strains(matrix, weights, own))
         levels.append(
             Level(
-                np.vstack([np.zeros((0, configuration.nv)), *(part.matrix for part in parts)]),
+                matrix,
                 np.concatenate([np.zeros(0), *(part.target for part in parts)]),
-                np.concatenate([np.zeros(0), *(part.weights for part in parts)]),
+                weights,
                 name=" + ".join(map(task_name, tasks)) or f"level {number}",
                 damping=shared,
-                below="hold" if last else below,
+                below="hold" if holds else "free",
             )
         )
     return levels
+
+
+def _strains(matrix: Array, weights: Array, damping: float) -> bool:
+    """Whether `damping` takes more than half of a level's weakest direction: σ² of W^½ J is below it."""
+    if not damping:
+        return False
+    rows = np.sqrt(weights)[:, None] * matrix
+    return float(np.linalg.svd(rows, compute_uv=False)[-1]) ** 2 < damping
 
 
 def objective(configuration: mink.Configuration, task: BaseTask) -> Objective:

@@ -16,11 +16,11 @@ def task_name(task: BaseTask) -> str:
     return type(task).__name__ if frame is None else f"{type(task).__name__} {frame}"
 
 
-def limit_names(limits: Sequence[mink.Limit]) -> tuple[str, ...]:
-    """Return one name a limit: its class, numbered from 1 where there are several of one class."""
-    kinds = [type(limit).__name__ for limit in limits]
+def numbered(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names, those that stand there several times with numbers from 1."""
+    given = list(names)
     return tuple(
-        kind if kinds.count(kind) == 1 else f"{kind} {kinds[: place + 1].count(kind)}" for place, kind in enumerate(kinds)
+        name if given.count(name) == 1 else f"{name} {given[: place + 1].count(name)}" for place, name in enumerate(given)
     )
 
 

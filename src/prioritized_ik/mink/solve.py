@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mink
+import mujoco
 from mink.tasks import BaseTask
 
 from prioritized_ik.errors import InfeasibleError, InputError, StepNotFoundError
@@ -29,7 +30,7 @@ def build_problem(
     constraints: Sequence[mink.Task] | None = None,
     *,
     priority: Mapping[BaseTask, int] | None = None,
-    below: str = "free",
+    below: str = "hold",
 ) -> IKProblem:
     """Return the problem of the next displacement Δq `(nv,)`, without solving it.
 
@@ -41,8 +42,9 @@ def build_problem(
         limits: mink's; None for its default, `ConfigurationLimit`; empty for none.
         constraints: tasks to be met exactly.
         priority: the level of each task, smaller numbers first, in place of nested lists.
-        below: what a damped level leaves to those below: "free", every motion that does not change what its damped
-            optimum reaches; "hold", none: calmer out of reach.
+        below: what levels leave to those below: "free", every motion that does not change what their damped optimum
+            reaches; "hold", none at all where a level's `lm_damping` takes more than half of its weakest direction, which
+            keeps the robot calm with targets out of reach.
 
     Raises:
         InputError: an argument out of range or of another model.
@@ -54,9 +56,18 @@ def build_problem(
     positive("dt", dt)
     non_negative("damping", damping)
     one_of("below", below, BELOW)
+    _update_tendons(configuration)
     levels = levels_of(configuration, grouped(tasks, priority), damping, below)
     bounds, rows = hard_limits(configuration, limits, dt)
     return IKProblem(levels, bounds, rows, equalities=hard_tasks(configuration, constraints))
+
+
+def _update_tendons(configuration: mink.Configuration) -> None:
+    """Bring the Jacobians of coupled tendons up to date, which mink leaves as they were."""
+    model, data = configuration.model, configuration.data
+    if (model.eq_type == mujoco.mjtEq.mjEQ_TENDON).any():
+        mujoco.mj_tendon(model, data)
+        mujoco.mj_makeConstraint(model, data)
 
 
 def solve_ik(
@@ -70,7 +81,7 @@ def solve_ik(
     constraints: Sequence[mink.Task] | None = None,
     *,
     priority: Mapping[BaseTask, int] | None = None,
-    below: str = "free",
+    below: str = "hold",
     options: SolveOptions | None = None,
     **kwargs: Any,
 ) -> Array:
@@ -122,7 +133,7 @@ def step_ik(
     constraints: Sequence[mink.Task] | None = None,
     *,
     priority: Mapping[BaseTask, int] | None = None,
-    below: str = "free",
+    below: str = "hold",
     options: SolveOptions | None = None,
     **kwargs: Any,
 ) -> JointStep:
