@@ -105,7 +105,7 @@ def measure(machine: Machine, scenario: str, count: int, damping: float = DAMPIN
         answers = {solver: by_mink(given, solver, damping) for solver in SOLVERS}
         step = step_ik(given.configuration, given.tasks, DT, damping=damping, limits=given.limits)
         assert step.dtheta is not None
-        certified += step.certificate is not None and step.certificate.holds
+        certified += step.certificate is not None and bool(step.certificate.holds)
         off = _distance(step.dtheta, exact)
         ours = max(ours, off)
         others = []

@@ -6,6 +6,7 @@ scenario instead of a sample. Robots of dm_control are among them where its file
 
 import copy
 import importlib.util
+import json
 import os
 import pickle
 import subprocess
@@ -19,13 +20,18 @@ import mink
 import mujoco
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from robots import HUMANOID, compiled
 
+import paper_repro.drop_in
 from comparisons.drop_in import by_mink, reference
 from comparisons.exact_qp import DIGITS, decimals, minimise
 from comparisons.mink_scenes import DT, MACHINES, SCALAR, SCENARIOS, Machine, configured, posed, scene
+from paper_repro.artefact import QUICK
+from paper_repro.jobs import Results
 from prioritized_ik import explain, get_solver
 from prioritized_ik import mink as drop_in
+from prioritized_ik.cli import main
 from prioritized_ik.errors import InfeasibleError, InputError, SolverUnavailableError, StepNotFoundError
 from prioritized_ik.mink import InfeasibleIkError, OutsideLimitsError, build_problem, levels, solve_ik, step_ik
 from prioritized_ik.solvers.step import StepStatus
@@ -33,7 +39,7 @@ from prioritized_ik.solvers.step import StepStatus
 CAMPAIGN = "PRIORITIZED_IK_CAMPAIGN"
 SAMPLE = 25  # configurations of each robot and scenario unless told
 SAME = 1e-6  # of the velocity
-EXACT = 1e-10  # of the velocity: ours, from sixty digits; mink's default damping divides rounding by its root, 1e-6
+EXACT = 1e-8  # of the velocity: rounding times the square of 1e6, by which a damping of 1e-12 conditions it, is far above
 DAMPING = (-6.0, -2.0)  # [decades] that mink's own solvers can resolve
 ORACLE = "quadprog"  # knows only rounding, no tolerance
 BINDING = 0.2  # of limited scenes end on a limit, at least
@@ -193,6 +199,30 @@ def test_sixty_digits_meet_the_conditions_of_an_optimum_and_nothing_near_them_do
 def test_rows_that_no_x_keeps_have_no_optimum_in_sixty_digits():
     matrix, sides = decimals([[1.0, 0.0], [-1.0, 0.0]]), decimals([-1.0, -1.0])
     assert minimise(decimals(np.eye(2)), decimals(np.zeros(2)), matrix, sides) is None
+
+
+def test_the_demonstration_shows_who_is_nearer_to_sixty_digits(tmp_path):
+    file = tmp_path / "drop-in.json"
+    told = CliRunner().invoke(main, ["demo", "drop-in", "--count", "1", "--json", str(file)])
+    assert told.exit_code == 0, told.output
+    rows = json.loads(file.read_text())["rows"]
+    assert len(rows) == len(MACHINES) * len(SCENARIOS)
+    for row in rows:
+        assert row["machine"] in told.output
+        assert row["ours"] <= EXACT
+        assert row["nearer"] == row["apart"]
+    assert max(max(row["mink"].values()) for row in rows) > 0.1
+
+
+def test_the_table_of_the_readme_is_made_of_the_demonstrations_rows():
+    scale = QUICK
+    first, *others = paper_repro.drop_in.jobs(scale)
+    row = first()
+    found = {first.key: row} | {job.key: row for job in others}
+    table = paper_repro.drop_in.build(scale, Results(found))
+    assert len(table.rows) == len(MACHINES) * len(SCENARIOS)
+    assert [column.key for column in table.columns][-3:] == ["ours", "nearer", "certified"]
+    assert max(row[-3] for row in table.rows) <= EXACT
 
 
 # What the problem is made of.
@@ -488,7 +518,7 @@ def standing() -> tuple[mink.Configuration, list[mink.FrameTask], mink.ComTask, 
     mass = mink.ComTask(10.0)
     mass.set_target_from_configuration(configuration)
     hands = [
-        drawn(configuration, f"{side} hand", (0, 0, 0), position_cost=4.0, orientation_cost=0.0, lm_damping=1.0)
+        drawn(configuration, f"{side} hand", (0, 0, 0), position_cost=4.0, orientation_cost=0.0, gain=0.2, lm_damping=100.0)
         for side in sides
     ]
     return configuration, feet, mass, hands, posture(configuration, 0.1)
@@ -499,21 +529,21 @@ def test_a_humanoid_keeps_its_feet_and_its_balance_with_hands_in_reach_and_far_o
     configuration, feet, mass, hands, rest = standing()
     dt, velocities, off, weighted_off = 0.01, [], [], []
     for hand in hands:
-        hand.gain = 0.2
         place = hand.transform_target_to_world.translation()
         hand.set_target(mink.SE3.from_translation(place + np.array([forward, 0.0, 0.02])))
-    limits = [mink.ConfigurationLimit(configuration.model), speeds(configuration.model, 3.0)]
+    limits = [mink.ConfigurationLimit(configuration.model), speeds(configuration.model, 2.0)]
     weighted = copy.deepcopy(configuration)
-    for _ in range(200):
+    for _ in range(220):
         velocities.append(step_ik(configuration, [feet, [mass], hands, [rest]], dt, limits=limits).dtheta / dt)
         velocity = mink.solve_ik(weighted, [*feet, mass, *hands, rest], dt, "daqp", limits=limits)
         weighted.integrate_inplace(velocity, dt)
         for found, where in ((off, configuration), (weighted_off, weighted)):
             found.append(max(np.linalg.norm(task.compute_error(where)[:3]) for task in (*feet, mass)))
-    print(max(off), max(weighted_off), np.abs(np.diff(velocities[-50:], axis=0)).max() / dt)
     assert max(off) < 1e-4
     assert np.abs(np.diff(velocities[-50:], axis=0)).max() / dt < 1.0
-    assert max(weighted_off) > 5e-3  # mink, with the same costs as weights
+    assert max(weighted_off) > 1e-3  # mink, with the same costs as weights
+    if forward < 0.1:
+        assert max(np.linalg.norm(hand.compute_error(configuration)[:3]) for hand in hands) < 1e-3
 
 
 def test_an_arm_drawn_out_of_reach_is_calm_and_comes_back():
