@@ -4,7 +4,8 @@ The costs stay weights and are not folded into the rows, as mink's own QP has th
 damping of mink's QP, `damping` plus μ = lm_damping ‖cost · gain · e‖² of each task, is `Level.damping`: of one level it
 makes mink's objective, term by term. Rows of damping in a level above others would take every joint from those below, so
 such a level hands its damped optimum down instead (see `solvers.damping`). The damping that a level counts is its own and
-that of all above: a level that strains makes those below careful, never those above. Where a task is out of reach and
+that of all above: a level that strains makes those below careful, never those above. mink's default of 1e-12, which only
+makes the answer unique, is left to the last level. Where a task is out of reach and
 nearly singular, levels below would swing in the null space that turns with every step; such a level keeps its rows of
 damping, unless told otherwise.
 """
@@ -19,6 +20,7 @@ from mink.tasks import BaseTask
 from prioritized_ik.errors import InputError
 from prioritized_ik.mink.names import task_name
 from prioritized_ik.problem import Level
+from prioritized_ik.solvers.lexicographic import DAMPING
 from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array
 
@@ -100,7 +102,7 @@ def levels_of(
                 np.concatenate([np.zeros(0), *(part.target for part in parts)]),
                 weights,
                 name=" + ".join(map(task_name, tasks)) or f"level {number}",
-                damping=shared,
+                damping=shared if last or shared > DAMPING else 0.0,
                 below="hold" if holds else "free",
             )
         )
