@@ -131,7 +131,28 @@ def objective(configuration: mink.Configuration, task: BaseTask) -> Objective:
     target = -task.gain * error
     strained = cost * target
     damping = task.lm_damping * float(strained @ strained)
-    return Objective(matrix[counted], target[counted], cost[counted] ** 2, damping)
+    return Objective(*_independent(matrix[counted], target[counted], cost[counted] ** 2), damping)
+
+
+def _independent(matrix: Array, target: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Return rows, targets and weights of the same cost, but for a constant, without rows that depend on others.
+
+    `LookAtTask` and `AxisAlignTask` have three rows of rank two. The third is a combination of the others but for
+    rounding, which must not count as a direction, however short that row is beside them.
+    """
+    kept = []
+    for weight in np.unique(weights):
+        rows, sides = matrix[weights == weight], target[weights == weight]
+        if (np.count_nonzero(rows, axis=1) > 1).any():  # rows of one entry, such as a posture's, are independent
+            u, s, vt = np.linalg.svd(rows, full_matrices=False)
+            rank = int(np.count_nonzero(s > ROUNDING * s[0]))
+            if rank < len(rows):
+                rows, sides = s[:rank, None] * vt[:rank], u[:, :rank].T @ sides
+        kept.append((rows, sides, np.full(len(sides), weight)))
+    if sum(len(sides) for _, sides, _ in kept) == len(target):
+        return matrix, target, weights
+    left, sides_left, weights_left = zip(*kept, strict=True)
+    return np.vstack(left), np.concatenate(sides_left), np.concatenate(weights_left)
 
 
 def rows_of(configuration: mink.Configuration, task: mink.Task) -> tuple[Array, Array]:
