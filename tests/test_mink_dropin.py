@@ -515,6 +515,14 @@ def test_a_level_that_strains_makes_those_below_careful_and_never_those_above():
     assert [level.damping for level in damped.levels] == [1e-3, 1e-3]
 
 
+@pytest.mark.parametrize(("name", "seed"), [("mobile arm", 0), ("mobile arm", 2), ("ball joints", 1), ("winding arm", 2)])
+def test_a_robot_that_has_come_to_rest_at_its_stops_still_gets_its_steps(name, seed):
+    given = scene(machine(name), "limited", seed)
+    for _ in range(40):
+        step = step_ik(given.configuration, [[task] for task in given.tasks], DT, limits=given.limits)
+        assert step.violation <= 1e-6
+
+
 def standing() -> tuple[mink.Configuration, list[mink.FrameTask], mink.ComTask, list[mink.FrameTask], mink.PostureTask]:
     model = machine("biped").load()
     q = model.qpos0.copy()
