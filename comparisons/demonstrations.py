@@ -1,4 +1,4 @@
-"""The commands `demo minimum-norm` and `demo weight-ratio`: two facts to see. Heavy imports wait until one runs."""
+"""The commands `demo minimum-norm`, `demo weight-ratio` and `demo drop-in`. Heavy imports wait until one runs."""
 
 import os
 from pathlib import Path
@@ -12,7 +12,7 @@ from prioritized_ik.cli import writable_file
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from comparisons import minimum_norm, weight_ratio
+    from comparisons import drop_in, minimum_norm, weight_ratio
 
 SAME = 1e-6  # relative, up to which an answer counts as the exact one
 
@@ -30,6 +30,13 @@ WEIGHT_RATIO_LEGEND = (
     "strict two-level answer, relative; of the residuals, relative to what the task asks. Orthogonal factors: the closed "
     "form of the library. Damped: JᵀWJ + 1e-12 I. Slack QP: the same optimum without JᵀWJ, the solver's default options. "
     "Strict levels: the two levels by the lexicographic QP, which needs no ratio. Green: within 1e-6."
+)
+DROP_IN_LEGEND = (
+    "solve_ik for each of {count} random configurations a row, tasks of frames alone, damping {damping:g}. Figures: the "
+    "largest distance of Δq from the optimum of mink's own QP in sixty digits, relative; mink with each solver's default "
+    "options, and how often it failed; ours: prioritized_ik.mink. Nearer: of the calls where an answer of mink's is "
+    "further than {same:g} from ours, those where ours is the nearest to the optimum. Certified: our proof holds. Green: "
+    "exact to {same:g}."
 )
 
 #: The tables of `demo weight-ratio`: a field of its rows, and what it is.
@@ -93,6 +100,38 @@ def weight_ratio_command(json_file: str | None) -> None:
         if row.failure:
             weighed = "strict levels" if row.ratio is None else f"ratio {row.ratio:.0e}"
             click.echo(f"{row.method}, {weighed}: {row.failure}")
+
+
+@demo.command("drop-in")
+@click.option("--count", default=20, show_default=True, type=click.IntRange(min=1), help="Configurations a row.")
+@_json_file
+def drop_in_command(count: int, json_file: str | None) -> None:
+    """Ask mink and its drop-in for the same velocities at mink's default damping, and tell which are right."""
+    from threadpoolctl import threadpool_limits
+
+    from comparisons.drop_in import SAME as ALIKE
+    from comparisons.drop_in import SOLVERS, measure_all
+    from prioritized_ik.solvers.backends.registry import get_backend
+    from prioritized_ik.solvers.methods import DAMPING
+
+    if json_file is not None:
+        writable_file(json_file)
+    with threadpool_limits(1):
+        rows = measure_all(count)
+    _write(json_file, {"count": count, "damping": DAMPING}, rows, {name: get_backend(name).version for name in SOLVERS})
+    _print(drop_in_table(rows))
+    click.echo(DROP_IN_LEGEND.format(count=count, damping=DAMPING, same=ALIKE))
+
+
+def drop_in_table(rows: "list[drop_in.Row]") -> "Table":
+    """Return the table of `demo drop-in`."""
+    solvers = list(rows[0].mink)
+    drawn = _table("robot", "limits", right=[*(f"mink, {name}" for name in solvers), "ours", "nearer", "certified"])
+    for row in rows:
+        theirs = [_distance(row.mink[name]) + (f" ({row.failed[name]})" if row.failed[name] else "") for name in solvers]
+        shares = [f"{row.nearer}/{row.apart}", f"{row.certified}/{row.count}"]
+        drawn.add_row(row.machine, row.scenario, *theirs, _distance(row.ours), *shares)
+    return drawn
 
 
 def minimum_norm_table(rows: "list[minimum_norm.Row]") -> "Table":

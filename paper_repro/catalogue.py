@@ -28,6 +28,7 @@ CHAPTERS: dict[str, tuple[str, ...]] = {
         "table_4_backends",
         "table_5_damping",
         "figure_damping",
+        "drop_in",
         "table_6_weight_ratio",
         "figure_weight_ratio",
         "table_7_timing",

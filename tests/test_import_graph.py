@@ -22,7 +22,7 @@ LAYERS = [
     {"touch", "problem", "weights"},
     {"limits"},
     {"solvers"},
-    {"winding"},
+    {"winding", "mink"},
     {"cli", "comparisons", "paper_repro"},
 ]
 SOLVERS = {"qpsolvers", "cvxpy", "daqp", "proxsuite", "osqp"}

@@ -27,6 +27,10 @@ class SolverUnavailableError(PrioritizedIkError):
     """A QP solver is unknown, or known but not installed."""
 
 
+class MissingExtraError(PrioritizedIkError, ImportError):
+    """What was asked for needs a package that comes with an extra; the message names the command that installs it."""
+
+
 class StepNotFoundError(PrioritizedIkError):
     """No joint step was accepted. `step` holds the status and the figures reached."""
 

@@ -27,7 +27,7 @@ class Solution:
     """What the active-set method reached.
 
     Attributes:
-        u: the optimum `(m,)`, in the joint metric; where it is to start if none was found.
+        u: the optimum `(m,)`, in the joint metric; if none was found, one that rounding leaves undecided, else the start.
         proof: of that.
         active: the rows that it rests on `(r,)`.
         iterations: how often the set was corrected.
@@ -59,6 +59,7 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
     at_proof = origin
     alternatives: Iterator[Active] = iter(())
     following: Active | None
+    flat: tuple[Array, Proof, Active] | None = None  # an optimum, but one that rounding leaves undecided
 
     def note(what: str, changed: Active) -> None:
         trace.append((what, tuple(rows.names[i] for i in np.flatnonzero(changed))))
@@ -94,6 +95,8 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
         if proof.certificate.holds:
             u, proof, active = _from_all_tight_rows(hierarchy, u, proof, active)
             return Solution(u, proof, active, iterations, converged=True, trace=tuple(trace))
+        if proof.certificate.is_optimal:
+            flat = u, proof, active
         refined = _refined(hierarchy, u, proof)
         if refined is not None:
             u, proof, active = _from_all_tight_rows(hierarchy, *refined, active)
@@ -104,6 +107,8 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
             break
         note("drop", active & ~following)
         active = following
+    if flat is not None:
+        return Solution(*flat, len(trace), converged=False, trace=tuple(trace))
     proof = Proof(hierarchy, origin)
     return Solution(origin, proof, proof.ends_on, len(trace), converged=False, trace=tuple(trace))
 

@@ -1,0 +1,211 @@
+"""mink's tasks as levels: each has rows J Δq = -gain e, weighted by cost².
+
+The costs stay weights and are not folded into the rows, as mink's own QP has them: a level's rank is that of J. The
+damping of mink's QP, `damping` plus μ = lm_damping ‖cost · gain · e‖² of each task, is `Level.damping`: of one level it
+makes mink's objective, term by term. Rows of damping in a level above others would take every joint from those below, so
+such a level hands its damped optimum down instead (see `solvers.damping`). The damping that a level counts is its own and
+that of all above: a level that strains makes those below careful, never those above. mink's default of 1e-12, which only
+makes the answer unique, is left to the last level. Where a task is out of reach and
+nearly singular, levels below would swing in the null space that turns with every step; such a level keeps its rows of
+damping, unless told otherwise.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mink
+import numpy as np
+from mink.tasks import BaseTask
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.mink.names import task_name
+from prioritized_ik.problem import Level
+from prioritized_ik.solvers.methods import DAMPING
+from prioritized_ik.tolerances import ROUNDING
+from prioritized_ik.validation import Array
+
+Tasks = Sequence[BaseTask | Sequence[BaseTask]]
+
+
+@dataclass(frozen=True)
+class Objective:
+    """One task as (J Δq - b)ᵀ W (J Δq - b) + μ ‖Δq‖².
+
+    Attributes:
+        matrix: J `(k, nv)`.
+        target: b `(k,)`.
+        weights: diagonal of W `(k,)`.
+        damping: μ.
+    """
+
+    matrix: Array
+    target: Array
+    weights: Array
+    damping: float
+
+
+def grouped(tasks: Tasks, priority: Mapping[BaseTask, int] | None) -> list[list[BaseTask]]:
+    """Return the tasks of each level, the most important first.
+
+    Args:
+        tasks: all in one level; or lists of tasks, one a level, where a task by itself is a level too.
+        priority: the level of each task, smaller numbers first; only with tasks that are not nested.
+
+    Raises:
+        InputError: something that is no task; both ways at once; a task without priority, or a priority without task.
+    """
+    nested = any(isinstance(entry, list | tuple) for entry in tasks)
+    levels = [list(entry) if isinstance(entry, list | tuple) else [entry] for entry in tasks]
+    flat = [task for level in levels for task in level]
+    for task in flat:
+        if not isinstance(task, BaseTask):
+            raise InputError(f"tasks holds {task!r}; expected mink's tasks, or lists of them, one a level.")
+    if priority is None:
+        return levels if nested else [flat] if flat else []
+    if nested:
+        raise InputError("tasks are nested and have a priority too; expected one of both.")
+    if not isinstance(priority, Mapping):
+        raise InputError(f"priority is {priority!r}; expected a mapping from task to number: {{task: 1, other: 2}}.")
+    for task in flat:
+        if task not in priority:
+            raise InputError(f"priority has no number for {task_name(task)}; expected one for every task.")
+    for task in priority:
+        if task not in flat:
+            raise InputError(f"priority has a number for {task!r}, which is none of the tasks; leave it out.")
+    return [[task for task in flat if priority[task] == number] for number in sorted({priority[task] for task in flat})]
+
+
+def levels_of(
+    configuration: mink.Configuration, groups: Sequence[Sequence[BaseTask]], damping: float, below: str
+) -> list[Level]:
+    """Return one level a group of tasks, the most important first.
+
+    Args:
+        configuration: where the robot is.
+        groups: of tasks, see `grouped`.
+        damping: of every level.
+        below: what a level above others leaves to those below: "free", or "hold" where it strains.
+    """
+    levels: list[Level] = []
+    shared = damping
+    for number, tasks in enumerate(groups, 1):
+        parts = [objective(configuration, task) for task in tasks]
+        own = sum(part.damping for part in parts)
+        shared += own
+        matrix = np.vstack([np.zeros((0, configuration.nv)), *(part.matrix for part in parts)])
+        weights = np.concatenate([np.zeros(0), *(part.weights for part in parts)])
+        last = number == len(groups)  # nobody needs what it leaves: one solve instead of two
+        holds = last or (below == "hold" and _strains(matrix, weights, own))
+        levels.append(
+            Level(
+                matrix,
+                np.concatenate([np.zeros(0), *(part.target for part in parts)]),
+                weights,
+                name=" + ".join(map(task_name, tasks)) or f"level {number}",
+                damping=shared if last or shared > DAMPING else 0.0,
+                below="hold" if holds else "free",
+            )
+        )
+    return levels
+
+
+def _strains(matrix: Array, weights: Array, damping: float) -> bool:
+    """Whether `damping` takes more than half of a level's weakest direction: σ² of W^½ J is below it."""
+    if not damping:
+        return False
+    rows = np.sqrt(weights)[:, None] * matrix
+    return float(np.linalg.svd(rows, compute_uv=False)[-1]) ** 2 < damping
+
+
+def objective(configuration: mink.Configuration, task: BaseTask) -> Objective:
+    """Return what a task asks for at `configuration`; rows without cost are left out.
+
+    Raises:
+        InputError: a task of another model, or a quadratic objective of the user's own that has no minimum.
+    """
+    if not isinstance(task, mink.Task) or _has_own_residual(task):
+        return _own_objective(configuration, task)
+    matrix, error = rows_of(configuration, task)
+    cost = np.broadcast_to(np.asarray(task.cost, dtype=float), error.shape)  # after the error: it may depend on it
+    counted = cost > 0.0
+    target = -task.gain * error
+    strained = cost * target
+    damping = task.lm_damping * float(strained @ strained)
+    return Objective(*_independent(matrix[counted], target[counted], cost[counted] ** 2), damping)
+
+
+def _independent(matrix: Array, target: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Return rows, targets and weights of the same cost, but for a constant, without rows that depend on others.
+
+    `LookAtTask` and `AxisAlignTask` have three rows of rank two. The third is a combination of the others but for
+    rounding, which must not count as a direction, however short that row is beside them.
+    """
+    kept = []
+    for weight in np.unique(weights):
+        rows, sides = matrix[weights == weight], target[weights == weight]
+        if (np.count_nonzero(rows, axis=1) > 1).any():  # rows of one entry, such as a posture's, are independent
+            u, s, vt = np.linalg.svd(rows, full_matrices=False)
+            rank = int(np.count_nonzero(s > ROUNDING * s[0]))
+            if rank < len(rows):
+                rows, sides = s[:rank, None] * vt[:rank], u[:, :rank].T @ sides
+        kept.append((rows, sides, np.full(len(sides), weight)))
+    if sum(len(sides) for _, sides, _ in kept) == len(target):
+        return matrix, target, weights
+    left, sides_left, weights_left = zip(*kept, strict=True)
+    return np.vstack(left), np.concatenate(sides_left), np.concatenate(weights_left)
+
+
+def rows_of(configuration: mink.Configuration, task: mink.Task) -> tuple[Array, Array]:
+    """Return J `(k, nv)` and e `(k,)` of a task; there may be none.
+
+    Raises:
+        InputError: a task of another model.
+    """
+    error = np.asarray(task.compute_error(configuration), dtype=float)
+    matrix = np.asarray(task.compute_jacobian(configuration), dtype=float)
+    _fits(configuration, task, matrix, len(error))
+    return matrix, error
+
+
+def _has_own_residual(task: BaseTask) -> bool:
+    """Whether a task has a residual of its own, which need not be what J, e and cost say."""
+    return not getattr(type(task).compute_qp_residual, "__module__", "").startswith("mink.")
+
+
+def _own_objective(configuration: mink.Configuration, task: BaseTask) -> Objective:
+    """Return the objective of a task that gives mink the residual W, e, μ or the matrices H, c of its QP itself."""
+    residual = task.compute_qp_residual(configuration)
+    if residual is not None:
+        matrix, target, damping = residual
+        _fits(configuration, task, matrix, len(target))
+        return Objective(matrix, target, np.ones(len(target)), float(damping))
+    hessian, linear = task.compute_qp_objective(configuration)
+    _fits(configuration, task, hessian, configuration.nv)
+    matrix, target = factored(task_name(task), hessian, linear)
+    return Objective(matrix, target, np.ones(len(target)), 0.0)
+
+
+def factored(name: str, hessian: Array, linear: Array) -> tuple[Array, Array]:
+    """Return A `(k, m)` and b `(k,)` with ½ xᵀHx + cᵀx = ½ ‖Ax - b‖² + a constant.
+
+    Raises:
+        InputError: H is not positive semidefinite, or c is no combination of its columns: the objective has no minimum.
+    """
+    values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
+    rounding = ROUNDING * len(values) * float(np.abs(values).max(initial=0.0))
+    if (values < -rounding).any():
+        raise InputError(f"H of {name} has the eigenvalue {values[0]:g}; expected a positive semidefinite matrix.")
+    felt = values > rounding
+    roots = np.sqrt(values[felt])
+    left = linear - vectors[:, felt] @ (vectors[:, felt].T @ linear)
+    if np.linalg.norm(left) > ROUNDING * len(values) * max(float(np.linalg.norm(linear)), 1.0):
+        raise InputError(f"c of {name} is not in the range of its H: the objective has no minimum; add to its H.")
+    return roots[:, None] * vectors[:, felt].T, -(vectors[:, felt].T @ linear) / roots
+
+
+def _fits(configuration: mink.Configuration, task: BaseTask, matrix: Array, rows: int) -> None:
+    if np.shape(matrix) != (rows, configuration.nv):
+        raise InputError(
+            f"the Jacobian of {task_name(task)} is of shape {np.shape(matrix)}; expected ({rows}, {configuration.nv}): "
+            "is the task made for another model?"
+        )
