@@ -45,6 +45,7 @@ CHAPTERS: dict[str, tuple[str, ...]] = {
         "table_10_failures",
         "table_11_distributed",
         "table_12_rivals",
+        "table_13_torques",
         "sensitivity",
     ),
     "Every winding of the map": ("closed_form_episodes",),
