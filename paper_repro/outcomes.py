@@ -75,10 +75,9 @@ def build(scale: Scale, results: Results) -> Table:
         rows.append((link, WEIGHT_NAMES[weights], METHOD_NAMES[method], *figures, *counts))
     of = " and ".join(f"{len(group(scale, *cases(scale)[0], pose))} from {pose} poses" for pose in POSES)
     notes = (
-        f"{of} a row, from {', '.join(directions(scale))}. {CRITERION}. Penetration "
-        "negative: the least clearance. Where the QP misses by depth, the first link in contact sinks in by 2 to 4 mm: contact "
-        "rows hold to first order, and never push out. Strict levels lock up where the last link's one hinge cannot reach the "
-        "object."
+        f"{of} a row, from {', '.join(directions(scale))}. {CRITERION}. Penetration negative: the least clearance. Where "
+        "the QP misses by depth, the first link in contact sinks in: contact rows hold to first order, and never push out. "
+        "Strict levels lock up where the last link's one hinge cannot reach the object."
     )
     return Table(COLUMNS, tuple(rows), notes)
 

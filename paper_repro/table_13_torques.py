@@ -1,10 +1,11 @@
 """Table 13: winding by joint torques, by the paper's two approaches, against the kinematic windings."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from paper_repro.artefact import Artefact, Scale
 from paper_repro.jobs import Job, Results
 from paper_repro.table import Cell, Column, Table
+from paper_repro.table_8_windings import WEIGHT_NAMES
 from paper_repro.torques import (
     APPROACHES,
     ARMATURE,
@@ -18,11 +19,28 @@ from paper_repro.torques import (
     STIFFNESS,
     STRETCH,
     TIME_STEP,
-    wind_by_torques,
+    torque_job,
 )
 from paper_repro.windings import CRITERION, LONG, METHOD_NAMES, METHODS, SHORT, TERM_TITLES, counted, measured_job, settings
-from prioritized_ik.winding.controller import Equilibrium
-from prioritized_ik.winding.episode import Outcome
+
+JOINT, TASK = APPROACHES
+
+
+class Row(NamedTuple):
+    """Windings of one kind: by an approach of `APPROACHES`, or kinematic by a method of `METHODS`; `tilt` is in rad."""
+
+    control: str
+    link: int
+    weights: str = "eq23"
+    tilt: float = 0.0
+
+
+ROWS = (
+    *(Row(control, link) for control in APPROACHES for link in (SHORT, LONG)),
+    Row(TASK, LONG, tilt=0.3),
+    Row(TASK, LONG, weights="eq24"),
+    *(Row(method, link) for method in METHODS for link in (SHORT, LONG)),
+)
 
 #: Directions by first link. From straight, those from below and behind mirror those from above and in front.
 SIDES = {SHORT: ("up", "down", "front", "back"), LONG: ("up", "front")}
@@ -31,6 +49,8 @@ QUICK_LINK = 15
 COLUMNS = (
     Column("control", "control", width="4.2cm"),
     Column("first_link", "first link"),
+    Column("weights", "weights"),
+    Column("tilt_rad", "tilt [rad]", ".1f"),
     Column("windings", "windings"),
     Column("in_contact", TERM_TITLES[0]),
     Column("turned", TERM_TITLES[1]),
@@ -46,7 +66,7 @@ COLUMNS = (
 
 CAPTION = f"""\
 The two approaches of the paper's Fig. 2 as control of a dynamic arm, in MuJoCo, without gravity, from the straight pose
-around the untilted cylinder, Eq. 23. *Task space*, the second approach (ref. 6): F_v = K_v (dX_v* - dX_v) - D v and τ =
+around the cylinder. *Task space*, the second approach (ref. 6): F_v = K_v (dX_v* - dX_v) - D v and τ =
 Jᵀ F_v, with the weights as stiffnesses, K_v = {STIFFNESS:g} N/m times W, D = {RELAXATION:g} s times K_v, springs
 stretched by at most {1e3 * STRETCH:g} mm. *Joint space*, the first: the dθ* of Eqs. 12 and 14 moves desired joint
 positions, and τ = {JOINT_STIFFNESS:g} N m/rad (θ* - θ) - {DERIVATIVE:g} N m s/rad dθ/dt. Links of {DENSITY:g} kg/m³,
@@ -56,58 +76,43 @@ the default settings, which have no forces.
 
 {CRITERION}. Depth is limited here by MuJoCo's contacts, not by the control.
 
-**To see:** the second approach winds both times, and within a joint's range, where the first folds: it does not ask the
-free tail to stay, which is held by a spring of 0.01 N/m, its inertia and the joints' friction, and is drawn along. In
-joint space the dynamic arm does what the kinematic one does, folds included: it winds from link {SHORT} on, and from
-{LONG} on meets its own tail behind the object, now with forces. Contact is felt at 2 mm, where a link stops being
-driven: a force of 0 says that it came to rest there. This does *not* show holding, lifting, gravity, or other gains.
+**To see:** with the weights of Eq. 23 the second approach winds a short way and a long one, straight and tilted, and
+within a joint's range, where the first folds: it does not ask the free tail to stay, which is held by springs of 0.01
+N/m, its inertia and the joints' friction, and is drawn along. With those of Eq. 24, springs of 1 N/m, the tail stays,
+and folds as by the first. In joint space the dynamic arm does what the kinematic one does: it winds from link {SHORT}
+on, and from {LONG} on it meets its own tail behind the object, now with forces. Contact is felt at 2 mm, where a link
+stops being driven: a force of 0 says that it came to rest there. This does *not* show holding, lifting, gravity, or
+other gains.
 """
 
 
-def links(scale: Scale) -> dict[int, tuple[str, ...]]:
-    """Return the directions by first link; a short winding in the reduced run."""
-    return {QUICK_LINK: scale.directions[:1]} if scale.quick else SIDES
+def cases(scale: Scale) -> tuple[Row, ...]:
+    """Return the rows; of the reduced run short windings alone."""
+    return tuple(Row(control, QUICK_LINK) for control in (*APPROACHES, *METHODS)) if scale.quick else ROWS
 
 
-def torque_job(approach: str, link: int, direction: str) -> Job:
-    """Return the job of one winding: see `wound`."""
-    return Job(wound, {"approach": approach, "link": link, "direction": direction})
-
-
-def wound(approach: str, link: int, direction: str) -> dict[str, Any]:
-    """Return the fields of `TorqueWinding`, with the name of an `Outcome` for its equilibrium."""
-    found = wind_by_torques(approach, link=link, direction=direction)
-    outcome = {Equilibrium.WINDING: Outcome.WOUND, Equilibrium.FREE: Outcome.LOST, None: Outcome.OUT_OF_STEPS}
-    figures = {**vars(found), "outcome": outcome[found.equilibrium].name}
-    del figures["equilibrium"]
-    return figures
-
-
-def group(scale: Scale, control: str, link: int) -> list[Job]:
-    """Return the windings of one row: by an approach of `APPROACHES`, or kinematic by a method of `METHODS`."""
-    sides = links(scale)[link]
-    if control in APPROACHES:
-        return [torque_job(control, link, direction) for direction in sides]
-    return [measured_job(settings(control, link=link, direction=direction)) for direction in sides]
-
-
-def cases(scale: Scale) -> list[tuple[str, int]]:
-    """Return control and first link of each row."""
-    return [(control, link) for control in (*APPROACHES, *METHODS) for link in links(scale)]
+def group(scale: Scale, row: Row) -> list[Job]:
+    """Return the windings of one row."""
+    sides = scale.directions[:1] if scale.quick else SIDES[row.link]
+    changes: dict[str, Any] = {"link": row.link, "weights": row.weights, "tilt": row.tilt}
+    if row.control in APPROACHES:
+        return [torque_job(row.control, direction=direction, **changes) for direction in sides]
+    return [measured_job(settings(row.control, direction=direction, **changes)) for direction in sides]
 
 
 def jobs(scale: Scale) -> list[Job]:
     """Return one job a winding."""
-    return [job for case in cases(scale) for job in group(scale, *case)]
+    return [job for row in cases(scale) for job in group(scale, row)]
 
 
 def build(scale: Scale, results: Results) -> Table:
     """Return the table."""
     rows = []
-    for control, link in cases(scale):
-        windings = [results[job] for job in group(scale, control, link)]
-        name = control if control in APPROACHES else f"kinematic, {METHOD_NAMES[control]}"
-        rows.append((name, link, len(windings), *counted(windings), *_cells(windings)))
+    for row in cases(scale):
+        windings = [results[job] for job in group(scale, row)]
+        name = row.control if row.control in APPROACHES else f"kinematic, {METHOD_NAMES[row.control]}"
+        head = (name, row.link, WEIGHT_NAMES[row.weights], row.tilt, len(windings))
+        rows.append((*head, *counted(windings), *_cells(windings)))
     return Table(COLUMNS, tuple(rows))
 
 

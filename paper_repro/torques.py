@@ -14,15 +14,18 @@ the object; neither approach knows joint ranges. Masses, dampings and gains are 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from paper_repro.jobs import Job
 from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.validation import Array
 from prioritized_ik.weights import winding_weights
 from prioritized_ik.winding.controller import AXES, Equilibrium, Situation, WindingController
+from prioritized_ik.winding.episode import Outcome
 from prioritized_ik.winding.metrics import bends, ideal_angle, turns_about
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
@@ -121,15 +124,29 @@ APPROACHES: dict[str, Callable[[WindingController], Control]] = {
 }
 
 
-def wind_by_torques(approach: str, **changes: object) -> TorqueWinding:
+def torque_job(approach: str, **changes: Any) -> Job:
+    """Return the job of one winding: see `wound`."""
+    return Job(wound, {"approach": approach, "changes": changes})
+
+
+def wound(approach: str, changes: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of `TorqueWinding`, with the name of an `Outcome` for its equilibrium."""
+    found = wind_by_torques(approach, **changes)
+    outcome = {Equilibrium.WINDING: Outcome.WOUND, Equilibrium.FREE: Outcome.LOST, None: Outcome.OUT_OF_STEPS}
+    figures = {**vars(found), "outcome": outcome[found.equilibrium].name}
+    del figures["equilibrium"]
+    return figures
+
+
+def wind_by_torques(approach: str, **changes: Any) -> TorqueWinding:
     """Return how the arm winds by one of `APPROACHES`.
 
     Args:
         approach: its name.
         changes: to `WindingSettings`; η and the time step are those of this module.
     """
-    given: dict[str, object] = {"limits": False, "contacts": False, "solver": CLOSED_FORM, "speed": SPEED, "dt": TIME_STEP}
-    settings = WindingSettings(**{**given, **changes})  # type: ignore[arg-type]
+    given: dict[str, Any] = {"limits": False, "contacts": False, "solver": CLOSED_FORM, "speed": SPEED, "dt": TIME_STEP}
+    settings = WindingSettings(**{**given, **changes})
     controller = WindingController(settings)
     control = APPROACHES[approach](controller)
     model = dynamic_model(settings)

@@ -10,7 +10,7 @@ import pytest
 from paper_repro import torques
 from paper_repro.artefact import FULL, QUICK
 from paper_repro.jobs import Job, Results
-from paper_repro.table_13_torques import build, cases, group, jobs, wound
+from paper_repro.table_13_torques import ROWS, SIDES, build, group, jobs
 from paper_repro.torques import (
     APPROACHES,
     RELAXATION,
@@ -21,6 +21,7 @@ from paper_repro.torques import (
     TorqueWinding,
     dynamic_model,
     wind_by_torques,
+    wound,
 )
 from paper_repro.windings import settings
 from prioritized_ik.weights import winding_weights
@@ -144,9 +145,9 @@ def test_the_table_has_forces_of_dynamic_windings_only() -> None:
     table = build(FULL, Answers())
     keys = [column.key for column in table.columns]
     rows = [dict(zip(keys, row, strict=True)) for row in table.rows]
-    assert len(rows) == len(cases(FULL)) == 8
+    assert len(rows) == len(ROWS)
     for row in rows:
         assert (row["torque_nm"] is None) == str(row["control"]).startswith("kinematic")
         assert row["within_range"] == row["windings"]
-    assert {len(group(FULL, TASK, link)) for link in (6, 12)} == {2, 4}
+    assert {len(group(FULL, row)) for row in ROWS if row.link == 12} == {len(SIDES[12])} == {4}
     assert len(jobs(QUICK)) == 4
