@@ -35,8 +35,8 @@ What a reader of the paper may want to know first:
 - The plan of Eqs. 18 to 22 is parallel and distributed, to the last bit; the weights of Eqs. 23 and 24 are not, as k is
   known to no link by itself. *Table 11.*
 - Lateral inhibition winds without folding, but in a plane, and beyond a full turn into itself. *Table 12.*
-- The paper's second approach, end-point springs and τ = Jᵀ F_v, winds a dynamic arm within a joint's range, more than a
-  turn too, where the first folds. *Table 13.*
+- The paper's second approach, end-point springs and τ = Jᵀ F_v with the weights of Eq. 23 as stiffnesses, winds a dynamic
+  arm within a joint's range, more than a turn too, where the first folds. *Table 13.*
 
 Under every table and figure stands the command that makes it.
 """
