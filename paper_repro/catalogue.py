@@ -34,6 +34,9 @@ CHAPTERS: dict[str, tuple[str, ...]] = {
         "table_7_timing",
     ),
     "Winding": (
+        "closed_form_map",
+        "figure_closed_form_map",
+        "closed_form_stability",
         "outcomes",
         "figure_6_windings",
         "figure_7_weights",
@@ -41,8 +44,12 @@ CHAPTERS: dict[str, tuple[str, ...]] = {
         "table_8_windings",
         "table_9_ablation",
         "table_10_failures",
+        "table_11_distributed",
+        "table_12_rivals",
+        "table_13_torques",
         "sensitivity",
     ),
+    "Every winding of the map": ("closed_form_episodes",),
 }
 
 

@@ -197,9 +197,9 @@ does not. *Not stated* is what one has to know to run the simulation and will no
 then a choice of ours.
 
 A statement that differs has its reason below the table; `prioritized-ik paper check` prints the same table and fails
-if one differs without. {CRITERION}: contact of all links, which the paper speaks of, is reached by an arm folded back
-on itself too. What agrees is the statement, in our poses; nothing here compares with the poses of Figs. 6 and 7,
-which are not published.""",
+if one differs without. {CRITERION}. The claims that the arm winds by Eqs. 12 and 14 are judged by turns and depth, on a
+winding of less than a turn; a longer one stands beside it. What agrees is the statement, in our poses; nothing here
+compares with the poses of Figs. 6 and 7, which are not published.""",
     jobs,
     build,
 )

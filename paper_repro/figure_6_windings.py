@@ -1,4 +1,4 @@
-"""Figure 6: the windings from four directions as strips of stages, closed form and QP."""
+"""Figure 6: windings from four directions: a short and a long one by the closed form, and the long one by the QP."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -6,41 +6,56 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from paper_repro.artefact import Artefact, Scale
+from paper_repro.closed_form_map import ideal_turns
 from paper_repro.drawing3d import draw_lines, extent, line_of_sight, rendered, view_of
 from paper_repro.figure import PAGE, new_figure
 from paper_repro.jobs import Job, Results
-from paper_repro.windings import CRITERION, METHOD_NAMES, METHODS, is_wound, settings, story_job
+from paper_repro.windings import CRITERION, LONG, METHOD_NAMES, SHORT, judged, settings, story_job
 from prioritized_ik.validation import Array
-from prioritized_ik.winding.episode import Outcome
 from prioritized_ik.winding.settings import WindingSettings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EVERY = 10  # steps between the states that are kept
-STAGES = (0.12, 0.35, 0.55, 0.75, 1.0)  # of a winding's steps
+STAGES = (0.12, 0.3, 0.45, 0.6, 0.8, 1.0)  # of a winding's steps
 FIRST_SHOWN = 3  # end of the link at which a picture begins: what is before hardly moves
 LETTERS = {"up": "a", "down": "b", "front": "c", "back": "d"}
 FROM = {"up": "from above", "down": "from below", "front": "from the front", "back": "from the back"}
+
+#: By how many of the three terms hold.
+VERDICTS = (
+    "not wound",
+    "all links in contact",
+    "wound by turns and depth",
+    "wound within a joint's range",
+)
 
 GAP, TITLE = 0.08, 0.34  # [in] between pictures, and above a row of them
 DOTS = 260  # pixels rendered an inch of paper
 POINTS = 72.0  # an inch
 
+#: What is shown of each direction: method and first link.
+SHOWN = (("closed form", SHORT), ("closed form", LONG), ("qp", LONG))
+
 CAPTION = f"""\
-The 17-link arm winds around a cylinder of 0.14 m diameter from four directions, from one and the same gently arched
-initial pose, with the weights of Eq. 23. Upper rows: the closed form, Eqs. 12 to 14 alone, as in the paper; lower rows:
-the QP, the same solve with joint ranges, a step limit and contact rows. Time runs to the right; all pictures are of one
-scale; links in contact are red (lighter in print); links 1 to {FIRST_SHOWN} are cut off at the left, and the cylinder is
-shown short and translucent. Its axis is tilted by 0.3 rad about the contact normal, so that turns come to lie beside each
-other. Rendered by MuJoCo off screen; where it cannot render, the same views are drawn as lines.
+The 17-link arm winds around a cylinder of 0.14 m diameter from four directions, from one and the same straight initial
+pose, with the weights of Eq. 23. Three rows a direction. First the closed form, Eqs. 12 to 14 alone, as in the paper,
+with the cylinder at link {SHORT}: {ideal_turns(SHORT):.2f} of a turn. Then the closed form with the cylinder at link
+{LONG}: {ideal_turns(LONG):.2f} of a turn. Then the QP from there, the same solve with joint ranges, a step limit and
+contact rows. Time runs to the right; all pictures are of one scale; links in contact are red (lighter in print); links
+1 to {FIRST_SHOWN} are cut off at the left, and the cylinder is shown short and translucent. Rendered by MuJoCo off
+screen; where it cannot render, the same views are drawn as lines. A negative penetration is the least clearance.
 
 {CRITERION}.
 
-Both methods end with every link in contact, which is all that M can tell. The QP lays link after link around the object.
-The closed form begins alike, but knows no object: its links go through it and fold back on themselves. This reproduces
-Fig. 6 of the paper in quality only: initial pose, object pose, link radius and time step are choices. It does *not* show
-contact between links, which is not modelled, nor dynamics.
+**To see:** the closed form winds from all four directions, as the paper says; on the way the link after the driven one
+folds back, for the free tail is asked to stay. With twice the links left to wind all of them report contact again, but
+the object has come round to the tail, whose links end up in it or folded back. The QP lays link after link around the
+object. Where the closed form winds shows its map, on which these are two points. This reproduces Fig. 6 of the paper in
+quality only: initial pose, first link, tilt, link radius and time step are choices. It does *not* show contact between
+links, which is not modelled: after a full turn the arm lies in itself, where a tilted object would lay it beside
+itself.
 """
 
 
@@ -61,9 +76,9 @@ class Strip:
     rectangles: Array
 
 
-def winding(direction: str, method: str) -> WindingSettings:
+def winding(direction: str, method: str, link: int) -> WindingSettings:
     """Return the settings of one winding of the figure; the figure of penetration has the same."""
-    return settings(method, direction=direction, posture="arched", tilt=0.3)
+    return settings(method, direction=direction, link=link)
 
 
 def directions(scale: Scale) -> tuple[str, ...]:
@@ -73,15 +88,15 @@ def directions(scale: Scale) -> tuple[str, ...]:
 
 def jobs(scale: Scale) -> list[Job]:
     """Return one job a winding."""
-    return [story_job(winding(direction, method), every=EVERY) for direction in directions(scale) for method in METHODS]
+    return [story_job(winding(direction, *shown), every=EVERY) for direction in directions(scale) for shown in SHOWN]
 
 
 def build(scale: Scale, results: Results) -> "Figure":
     """Return the figure."""
     strips = [
-        _strip(direction, method, results[story_job(winding(direction, method), every=EVERY)])
+        _strip(direction, method, link, results[story_job(winding(direction, method, link), every=EVERY)])
         for direction in directions(scale)
-        for method in METHODS
+        for method, link in SHOWN
     ]
     widths = np.max([strip.rectangles[:, 1] - strip.rectangles[:, 0] for strip in strips], axis=0)  # [m] of each stage
     heights = [float(strip.rectangles[0, 3] - strip.rectangles[0, 2]) for strip in strips]  # [m] of each strip
@@ -99,9 +114,9 @@ def build(scale: Scale, results: Results) -> "Figure":
     return figure
 
 
-def _strip(direction: str, method: str, story: dict[str, Any]) -> Strip:
+def _strip(direction: str, method: str, link: int, story: dict[str, Any]) -> Strip:
     """Return the strip of one winding: all its pictures of one height, each of the width that it needs."""
-    chosen = winding(direction, method)
+    chosen = winding(direction, method, link)
     shown = np.array(story["shown"])
     places = [int(np.abs(shown - share * shown[-1]).argmin()) for share in STAGES]
     picked = {key: np.array(story[key])[places] for key in ("shown", "q", "positions", "in_contact")}
@@ -109,11 +124,10 @@ def _strip(direction: str, method: str, story: dict[str, Any]) -> Strip:
     sight = line_of_sight(chosen)
     rectangles = np.array([extent(chosen, ends[FIRST_SHOWN - 1 :], sight) for ends in picked["positions"]])
     rectangles[:, 2], rectangles[:, 3] = rectangles[:, 2].min(), rectangles[:, 3].max()
-    says = "M says wound" if story["outcome"] == Outcome.WOUND.name else "M does not say wound"
-    verdict = f"{says}, and it is" if is_wound(story) else f"{says}, but it is not" if says == "M says wound" else says
     title = (
-        f"({LETTERS[direction]}) {FROM[direction]}, {METHOD_NAMES[method]}: turns {story['turns_ratio']:.2f} of the ideal, "
-        f"penetration {1e3 * story['penetration']:.1f} mm, bend {story['bend']:.2f} rad; {verdict}"
+        f"({LETTERS[direction]}) {FROM[direction]}, link {link}, {METHOD_NAMES[method]}: "
+        f"turns {story['turns_ratio']:.2f} of the ideal, penetration {1e3 * story['penetration']:.1f} mm, "
+        f"bend {story['bend']:.2f} rad; {VERDICTS[sum(judged(story))]}"
     )
     return Strip(title, chosen, picked, rectangles)
 

@@ -8,39 +8,43 @@ from paper_repro.artefact import Artefact, Scale
 from paper_repro.figure import COLOURS, DASHES, new_figure
 from paper_repro.figure_6_windings import EVERY
 from paper_repro.jobs import Job, Results
-from paper_repro.windings import METHOD_NAMES, METHODS, settings, story_job
+from paper_repro.windings import LONG, METHOD_NAMES, METHODS, SHORT, settings, story_job
+from prioritized_ik.validation import Array
 from prioritized_ik.winding.settings import WindingSettings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DIRECTION = "up"  # from straight, all of it happens in the plane of x and z
-STEPS = (0, 60, 120, 180, 240)  # at which the arm is drawn
+DIRECTION = "front"  # from straight, all of it happens in the plane of x and y, where the last link's hinge turns it
+LINK = {"closed form": SHORT, "qp": LONG}  # first links, from which each of the methods winds
+STEPS = {"closed form": (0, 40, 80, 120, 160), "qp": (0, 60, 120, 180, 240)}  # at which the arm is drawn
 WEIGHTS = {"eq24": "Eq. 24 (1.0)", "eq23": "Eq. 23 (0.01)", "strict": "strict"}
 COLOUR_OF = {"eq24": "vermilion", "eq23": "blue", "strict": "green"}
 WIDTH_OF = {"eq24": 1.2, "eq23": 2.6, "strict": 1.0}  # Eq. 23 and strict lie on each other
 BEHIND = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.3}  # of a number on lines
 SHADES = ("#BBBBBB", "#999999", "#777777", "#444444", "#000000")  # of the outlines, from the first to the last
 
-CAPTION = """\
+CAPTION = f"""\
 Links not yet wound hold their places with the weight 1.0 (Eq. 24, the paper's Fig. 7a), with 0.01 (Eq. 23, Fig. 7b), or
-come after all others by strict priority. Above: the arm at the same steps in each panel, darker as it goes on, projected
-to the plane in which it moves, and the path of its end; below, how long that path has become by each step, and by the
-time that link k is wound. Object from above, straight initial pose; upper row by the closed form, lower row by the QP.
-Each panel says how long the path of the arm's end is until equilibrium, and how far an end of a link not yet wound moves
-in a step on average.
+come after all others by strict priority. Above: the arm at the same steps in each panel of a row, darker as it goes on,
+seen in the plane in which it moves, and the path of its end; below, how long that path has become by each step, and by
+the time that link k is wound. Object from the front, straight initial pose; upper row by the closed form from link
+{SHORT} on, lower row by the QP from link {LONG} on: all six windings succeed by turns and depth. Each panel says how
+long the path of the arm's end is until equilibrium, and how far an end of a link not yet wound moves in a step on
+average.
 
-With 1.0 the tail moves less in a step, as the paper says: it trails behind. But the links being wound then also advance
-more slowly, and by the time that a link is wound the tail has moved about as far as with 0.01: the path until equilibrium
-is no shorter. Strict priorities do what 0.01 does. This does *not* show the paper's own postures, whose initial pose is
-not stated.
+**To see:** with 1.0 the ends not yet wound move less in a step, as the paper says: they try to keep their places. But
+the link being wound then also advances more slowly, and by the time that a link is wound the tail has moved about as
+far as with 0.01: in our poses Eq. 24 changes the pace of the closed form by a few per cent, and its route hardly. Where
+it does tell is how far the closed form winds: with 1.0 from link 10 on, with 0.01 only from link 11 (closed-form map).
+Strict priorities do what 0.01 does. This does *not* show the paper's own postures, whose initial pose is not stated.
 """
 
 
 def winding(weights: str, method: str) -> WindingSettings:
     """Return the settings of one winding of the figure."""
-    return settings(method, direction=DIRECTION, weights=weights)
+    return settings(method, direction=DIRECTION, weights=weights, link=LINK[method])
 
 
 def jobs(scale: Scale) -> list[Job]:
@@ -61,44 +65,49 @@ def build(scale: Scale, results: Results) -> "Figure":
         for column, weights in enumerate(WEIGHTS):
             panel = figure.add_subplot(grid[row, 2 * column : 2 * column + 2], sharex=first, sharey=first)
             first = first or panel
-            _outlines(panel, winding(weights, method), stories[weights, method])
+            _outlines(panel, winding(weights, method), stories[weights, method], STEPS[method])
             panel.set_title(f"{WEIGHTS[weights]}, {METHOD_NAMES[method]}", fontsize=7.5)
-            panel.set_ylabel("z [m]" if column == 0 else "")
+            panel.set_ylabel("−y [m]" if column == 0 else "")
             panel.set_xlabel("x [m]" if row == 1 else "")
     by_step, by_link = figure.add_subplot(grid[2, :3]), figure.add_subplot(grid[2, 3:])
     _paths(by_step, by_link, stories)
     figure.legend(
-        *by_step.get_legend_handles_labels(), loc="outside lower center", ncols=6, columnspacing=1.2, handlelength=2.2
+        *by_step.get_legend_handles_labels(), loc="outside lower center", ncols=3, columnspacing=1.2, handlelength=2.2
     )
     return figure
 
 
-def _outlines(axes: "Axes", chosen: WindingSettings, story: dict[str, Any]) -> None:
-    """Draw the arm at each of `STEPS` that the winding has, and the path of its end."""
+def _outlines(axes: "Axes", chosen: WindingSettings, story: dict[str, Any], steps: tuple[int, ...]) -> None:
+    """Draw the arm at each of `steps` that the winding has, and the path of its end."""
     from matplotlib.patches import Circle
 
     wound = chosen.wound_object()
-    axes.add_patch(Circle((wound.position[0], wound.position[2]), wound.size[0], facecolor="#EFE6B0", edgecolor="none"))
-    tail = np.array(story["tail"])
-    axes.plot(tail[:, 0], tail[:, 2], color=COLOURS["vermilion"], linewidth=0.9, linestyle="--")
-    drawn = [step for step in STEPS if step in story["shown"]]
+    x, y = _seen(wound.position).tolist()
+    axes.add_patch(Circle((x, y), wound.size[0], facecolor="#EFE6B0", edgecolor="none"))
+    axes.plot(*_seen(np.array(story["tail"])).T, color=COLOURS["vermilion"], linewidth=0.9, linestyle="--")
+    drawn = [step for step in steps if step in story["shown"]]
     for step, shade in zip(drawn, SHADES, strict=False):
-        ends = np.vstack([np.zeros(3), story["positions"][story["shown"].index(step)]])
-        axes.plot(ends[:, 0], ends[:, 2], color=shade, linewidth=0.9)
-        axes.plot(*ends[-1, [0, 2]], "o", color=shade, markersize=2.4)
+        ends = _seen(np.vstack([np.zeros(3), story["positions"][story["shown"].index(step)]]))
+        axes.plot(*ends.T, color=shade, linewidth=0.9)
+        axes.plot(*ends[-1], "o", color=shade, markersize=2.4)
         axes.annotate(
-            str(step), (ends[-1, 0], ends[-1, 2]), xytext=(2.5, 2.5), textcoords="offset points", fontsize=6.5, bbox=BEHIND
+            str(step), (ends[-1, 0], ends[-1, 1]), xytext=(2.5, 2.5), textcoords="offset points", fontsize=6.5, bbox=BEHIND
         )
     axes.text(
-        0.99,
-        0.97,
+        0.02,
+        0.98,
         f"path {story['tail_path']:.2f} m in {story['steps']} steps\n{1e3 * story['free_step']:.1f} mm a step",
         transform=axes.transAxes,
-        ha="right",
+        ha="left",
         va="top",
         fontsize=6.5,
     )
-    axes.set(aspect="equal", xlim=(-0.02, 1.13), ylim=(-0.17, 0.40), yticks=(0.0, 0.2, 0.4))
+    axes.set(aspect="equal", xlim=(-0.02, 1.13), ylim=(-0.17, 0.45), yticks=(0.0, 0.2, 0.4))
+
+
+def _seen(points: Array) -> Array:
+    """Return points `(…, 3)` [m] as they lie in the plane of the winding, the object above the arm `(…, 2)`."""
+    return points[..., :2] * [1.0, -1.0]
 
 
 def _paths(by_step: "Axes", by_link: "Axes", stories: dict[tuple[str, str], dict[str, Any]]) -> None:
@@ -117,7 +126,7 @@ def _paths(by_step: "Axes", by_link: "Axes", stories: dict[tuple[str, str], dict
         marker = {"eq24": "o", "eq23": "s", "strict": "^"}[weights]
         by_link.plot(links, path[first], marker=marker, **style)
     by_step.set(xlabel="step", ylabel="path of the arm's end [m]", xlim=(0, None), ylim=(0, None))
-    by_link.set(xlabel="last wound link k", xlim=(5.8, 17.2), ylim=(0, None))
+    by_link.set(xlabel="last wound link k", ylabel="path of the arm's end [m]", xlim=(5.8, 17.2), ylim=(0, None))
 
 
 ARTEFACT = Artefact("figure-7", "Fig. 7: effect of the weights of the links not yet wound", CAPTION, jobs, build)

@@ -7,24 +7,25 @@ import numpy as np
 
 from paper_repro.artefact import Artefact, Scale
 from paper_repro.figure import COLOURS, DASHES, new_figure
-from paper_repro.figure_6_windings import EVERY, FROM, LETTERS, directions, jobs, winding
+from paper_repro.figure_6_windings import EVERY, FROM, LETTERS, SHOWN, directions, jobs, winding
 from paper_repro.jobs import Results
-from paper_repro.windings import DEEPEST, FOLDED, METHOD_NAMES, METHODS, story_job
+from paper_repro.windings import DEEPEST, FOLDED, LONG, METHOD_NAMES, SHORT, story_job
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOUR_OF = {"closed form": "vermilion", "qp": "blue"}
-DASH_OF = dict(zip(METHODS, DASHES[1::-1], strict=True))
+COLOURS_SHOWN = dict(zip(SHOWN, ("green", "vermilion", "blue"), strict=True))
+DASHES_SHOWN = dict(zip(SHOWN, (DASHES[2], DASHES[1], DASHES[0]), strict=True))
 
 CAPTION = f"""\
 The deepest penetration of any link into the object (negative: the least clearance) and the largest bend between
-neighbouring links, at every step of the windings of Figure 6. Dotted: what still counts as wound, {1e3 * DEEPEST:g} mm
-and a right angle.
+neighbouring links, at every step of the windings of Figure 6. Dotted: {1e3 * DEEPEST:g} mm, above which an arm does not
+count as wound by turns and depth, and a right angle, above which not within a joint's range either.
 
-The QP stays below both from start to end; it bends no further than two hinges at their limits can. The closed form leaves
-both, and not at the end only: links enter the object and fold back as the arm winds on. This does *not* show how often: see
-Table 8.
+From link {SHORT} on the closed form stays out of the object, but folds by almost 3 rad on the way, as the free tail is
+asked to stay; at the end it is as little bent as the QP's. From link {LONG} on it folds as much, and links enter the
+object when the tail is reached. The QP stays below both from start to end. This does *not* show other poses: see the
+closed-form map.
 """
 
 
@@ -34,9 +35,14 @@ def build(scale: Scale, results: Results) -> "Figure":
     figure, axes = new_figure(2, len(sides), height=3.6, sharex=True, sharey="row", squeeze=False)
     for column, direction in enumerate(sides):
         above, below = axes[:, column]
-        for method in METHODS:
-            story = results[story_job(winding(direction, method), every=EVERY)]
-            style = {"color": COLOURS[COLOUR_OF[method]], "linestyle": DASH_OF[method], "label": METHOD_NAMES[method]}
+        for shown in SHOWN:
+            method, link = shown
+            story = results[story_job(winding(direction, method, link), every=EVERY)]
+            style = {
+                "color": COLOURS[COLOURS_SHOWN[shown]],
+                "linestyle": DASHES_SHOWN[shown],
+                "label": f"{METHOD_NAMES[method]}, from link {link}",
+            }
             above.plot(1e3 * np.array(story["penetration_path"]), **style)
             below.plot(story["bend_path"], **style)
         for panel, limit in ((above, 1e3 * DEEPEST), (below, FOLDED)):
@@ -46,7 +52,7 @@ def build(scale: Scale, results: Results) -> "Figure":
     axes[0, 0].set_ylabel("penetration [mm]")
     axes[1, 0].set_ylabel("largest bend [rad]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=2)
+    figure.legend(handles, labels, loc="outside upper right", ncols=3)
     return figure
 
 

@@ -26,6 +26,18 @@ Figs. 6 and 7 can therefore be reproduced **in quality only**: no pose here is c
 their place stands in the table of choices, and what those choices change in the table of
 sensitivity at the end.
 
+What a reader of the paper may want to know first:
+
+- The closed form, Eqs. 12 to 14 alone, **winds as the paper says**, from all four directions, where less than about 0.8
+  of a turn is to be wound. Around tilted objects and from bent poses the rank tolerance of Eq. 6, which is not stated,
+  decides. With a full turn or more the free tail, which Eqs. 12 to 14 hold in place, is in the way. *Where the closed form
+  winds.*
+- The plan of Eqs. 18 to 22 is parallel and distributed, to the last bit; the weights of Eqs. 23 and 24 are not, as k is
+  known to no link by itself. *Table 11.*
+- Lateral inhibition winds without folding, but in a plane, and beyond a full turn into itself. *Table 12.*
+- The paper's second approach, end-point springs and τ = Jᵀ F_v with the weights of Eq. 23 as stiffnesses, winds a dynamic
+  arm within a joint's range, more than a turn too, where the first folds. *Table 13.*
+
 Under every table and figure stands the command that makes it.
 """
 

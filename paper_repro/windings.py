@@ -1,6 +1,7 @@
 """Windings as jobs: every figure of an episode, and its story in a few poses. Shared by the artefacts that need them."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
@@ -19,26 +20,49 @@ DRIVER = "daqp-warm"
 METHODS = ("closed form", "qp")
 METHOD_NAMES = {"closed form": "closed form", "qp": "QP"}
 
-# When an arm counts as wound. That every link from k on reports contact is not enough: an arm folded back on itself, or
-# one that went through the object, does so too.
+# When an arm counts as wound: in three terms, each stricter than the one before. The paper speaks of contact alone, which
+# an arm folded back on itself reaches too, and one that went through the object.
 WELL_WOUND = 0.95  # of the ideal turns: the first and the last link may touch off their middles, and no more is missing
 DEEPEST = 2e-3  # [m] the distance at which a link reports contact: what the arm cannot feel cannot be held against it
 FOLDED = 0.5 * math.pi  # [rad] a link turned by more points back along the one before; the ideal is 41°
 
+#: First links of the windings that are shown at length. From the first the closed form winds, with a straight arm and an
+#: untilted object, from every direction; the second is the default, with more than a turn left to wind.
+SHORT, LONG = 12, 6
+
+#: The three terms, and their columns; see `judged`.
+TERMS = ("in contact", "turned", "within range")
+TERM_TITLES = ("wound: all links in contact", "wound: by turns and depth", "wound: within a joint's range")
+
 CRITERION = (
-    f"*Wound* is an arm of which M says so, with at least {WELL_WOUND:g} of the ideal turns, never deeper than "
-    f"{1e3 * DEEPEST:g} mm in the object, and no link ever bent by more than a right angle against the one before"
+    "*Wound* in three terms, each with those before it. *All links in contact*: M says so, the paper's own term. *By turns "
+    f"and depth*: at least {WELL_WOUND:g} of the ideal turns, and no link ever deeper than {1e3 * DEEPEST:g} mm in the "
+    "object. *Within a joint's range*: no link ever bent by more than a right angle against the one before; the paper "
+    "states no range"
 )
 
 
-def is_wound(figures: dict[str, Any]) -> bool:
-    """Return whether an arm is really wound, from the answer of `measured` or `story`."""
-    return bool(
-        figures["outcome"] == Outcome.WOUND.name
-        and figures["turns_ratio"] >= WELL_WOUND
-        and figures["penetration"] <= DEEPEST
-        and figures["bend"] <= FOLDED
-    )
+def judged(figures: dict[str, Any]) -> tuple[bool, bool, bool]:
+    """Return whether an arm is wound in each of `TERMS`, from the answer of `measured` or `story`."""
+    contact = figures["outcome"] == Outcome.WOUND.name
+    turned = contact and figures["turns_ratio"] >= WELL_WOUND and figures["penetration"] <= DEEPEST
+    return contact, bool(turned), bool(turned and figures["bend"] <= FOLDED)
+
+
+def counted(windings: Iterable[dict[str, Any]]) -> tuple[int, int, int]:
+    """Return how many windings are wound in each of `TERMS`."""
+    contact, turned, in_range = np.sum([judged(figures) for figures in windings], axis=0).tolist()
+    return contact, turned, in_range
+
+
+def is_turned(figures: dict[str, Any]) -> bool:
+    """Return whether an arm is wound by turns and depth, from the answer of `measured` or `story`."""
+    return judged(figures)[1]
+
+
+def is_within_range(figures: dict[str, Any]) -> bool:
+    """Return whether an arm is wound in all of `TERMS`, from the answer of `measured` or `story`."""
+    return judged(figures)[2]
 
 
 def settings(method: str = "qp", **changes: Any) -> WindingSettings:

@@ -16,7 +16,7 @@ from paper_repro.singularities import (
     plain_solve,
     row_norms,
 )
-from paper_repro.windings import figures_of, is_wound, measured, settings
+from paper_repro.windings import figures_of, is_turned, measured, settings
 from prioritized_ik.winding import episode
 from prioritized_ik.winding.controller import WindingController
 from prioritized_ik.winding.episode import Episode, wind
@@ -44,7 +44,7 @@ def test_with_c_reversed_an_arm_says_wound_that_is_folded_and_not_wound():
     assert figures["outcome"] == "WOUND"
     assert figures["turns_ratio"] < 0.05
     assert figures["bend"] > 3.0
-    assert not is_wound(figures)
+    assert not is_turned(figures)
 
 
 @cache

@@ -6,6 +6,9 @@ import pytest
 from winding_fixtures import short_episode
 
 from paper_repro import (
+    closed_form_episodes,
+    closed_form_map,
+    closed_form_stability,
     drawing3d,
     figure_6_windings,
     figure_7_weights,
@@ -18,8 +21,9 @@ from paper_repro import (
 from paper_repro.artefact import FULL, QUICK, Scale
 from paper_repro.jobs import Job, Results
 from paper_repro.windings import (
-    METHODS,
-    is_wound,
+    counted,
+    is_within_range,
+    judged,
     measured,
     measured_job,
     motions,
@@ -47,6 +51,9 @@ GOOD = {
     "tail_path": 1.5,
     "free_path": 7.0,
     "free_step": 5e-3,
+    "turns": 1.2,
+    "largest_step": 0.1,
+    "reason": None,
     "status": {status.name: 0 for status in StepStatus} | {"SOLVED": 300},
 }
 
@@ -63,17 +70,26 @@ class Answers(Results):
         return {**GOOD, **next((other for part, other in self.others.items() if part in text), {})}
 
 
-def test_a_good_winding_counts_as_wound():
-    assert is_wound(GOOD)
+def test_a_good_winding_is_wound_in_every_term():
+    assert judged(GOOD) == (True, True, True)
+    assert is_within_range(GOOD)
 
 
 @pytest.mark.parametrize(
-    "flaw",
-    [{"outcome": "OUT_OF_STEPS"}, {"outcome": "LOST"}, {"turns_ratio": 0.94}, {"penetration": 2.1e-3}, {"bend": 1.6}],
+    ("flaw", "terms"),
+    [
+        ({"outcome": "OUT_OF_STEPS"}, (False, False, False)),
+        ({"outcome": "LOST"}, (False, False, False)),
+        ({"turns_ratio": 0.94}, (True, False, False)),
+        ({"penetration": 2.1e-3}, (True, False, False)),
+        ({"bend": 1.6}, (True, True, False)),
+        ({"bend": 1.6, "turns_ratio": 0.94}, (True, False, False)),
+    ],
     ids=str,
 )
-def test_every_link_in_contact_is_not_enough_to_count_as_wound(flaw):
-    assert not is_wound({**GOOD, **flaw})
+def test_each_term_of_being_wound_asks_for_more_than_the_one_before(flaw, terms):
+    assert judged({**GOOD, **flaw}) == terms
+    assert counted([GOOD, {**GOOD, **flaw}]) == tuple(1 + term for term in terms)
 
 
 def contacts(*last: int) -> np.ndarray:
@@ -137,11 +153,12 @@ def test_table_8_keeps_the_worst_apart_from_the_median_and_counts_it_in_its_dire
     median, worst = (row_of(table, **case, direction="up", statistic=name) for name in ("median", "worst"))
     assert (median["turns_ratio"], median["bend_rad"], median["penetration_mm"]) == pytest.approx((0.98, 1.27, 0.5))
     assert (worst["turns_ratio"], worst["bend_rad"], worst["penetration_mm"]) == pytest.approx((0.1, 3.0, 60.0))
-    assert (median["windings"], median["m_says_wound"], median["wound"]) == (3, 3, 2)
-    assert row_of(table, **case, direction="front", statistic="median")["wound"] == 3
-    together = outcomes.build(SMALL, answers)
-    assert row_of(together, **case, statistic="median")["wound"] == 5
-    assert row_of(together, **case, statistic="worst")["turns_ratio"] == pytest.approx(0.1)
+    assert (median["in_contact"], median["turned"], median["within_range"]) == (3, 2, 2)
+    assert row_of(table, **case, direction="front", statistic="median")["turned"] == 3
+    long, short = (row_of(outcomes.build(SMALL, answers), **case, first_link=link) for link in (6, 12))
+    assert [long[f"random_{term}"] for term in ("in_contact", "turned", "within_range")] == [6, 5, 5]
+    assert [long["straight_turned"], short["straight_turned"], short["random_turned"]] == [2, 2, 6]
+    assert long["penetration_mm_worst"] == pytest.approx(60.0)
 
 
 def test_table_8_reports_windings_that_did_not_end_in_contact():
@@ -165,8 +182,8 @@ def test_table_9_counts_steps_that_failed_and_never_drops_them():
     row = row_of(table, constraints="limits", direction="up")
     windings = 4  # the straight pose and three random ones
     assert (row["infeasible"], row["uncertified"], row["not_found"]) == (windings, 2 * windings, 4 * windings)
-    assert (row["m_says_wound"], row["wound"]) == (0, 0)
-    assert row_of(table, constraints="both", direction="up")["wound"] == windings
+    assert (row["in_contact"], row["turned"], row["within_range"]) == (0, 0, 0)
+    assert row_of(table, constraints="both", direction="up")["within_range"] == windings
 
 
 def test_artefacts_share_the_windings_that_they_have_in_common():
@@ -183,12 +200,23 @@ def test_sensitivity_changes_one_choice_at_a_time_from_one_default():
     defaults = [next(iter(entries.values())) for entries in sensitivity.CHOICES.values()]
     assert not any(defaults)
     table = sensitivity.build(SMALL, Answers({'"radius": 0.005': {"penetration": 9e-3}}))
-    assert row_of(table, choice="link radius [mm]", value="5")["qp_wound"] == 0
-    assert row_of(table, choice="link radius [mm]", value="10")["qp_wound"] == 2
-    assert row_of(table, choice="joint range [rad]", value="±0.8")["closed_form_wound"] is None
+    assert row_of(table, choice="link radius [mm]", value="5")["qp_turned"] == 0
+    assert row_of(table, choice="link radius [mm]", value="10")["qp_turned"] == 2
+    assert row_of(table, choice="joint range [rad]", value="±0.8")["closed_form_turned"] is None
 
 
-@pytest.mark.parametrize("module", [table_8_windings, table_9_ablation, sensitivity])
+@pytest.mark.parametrize(
+    "module",
+    [
+        table_8_windings,
+        table_9_ablation,
+        sensitivity,
+        outcomes,
+        closed_form_map,
+        closed_form_stability,
+        closed_form_episodes,
+    ],
+)
 def test_every_job_of_the_reduced_run_is_there_when_its_table_is_built(module):
     asked = {job.key for job in module.jobs(QUICK)}
 
@@ -238,14 +266,16 @@ def no_renderer(*arguments: object) -> None:
 @pytest.mark.parametrize("renders", [True, False])
 def test_figure_6_falls_back_to_lines_where_mujoco_cannot_render(renders, monkeypatch):
     monkeypatch.setattr(
-        figure_6_windings, "winding", lambda direction, method: settings(method, direction=direction, link=14, tilt=0.3)
+        figure_6_windings,
+        "winding",
+        lambda direction, method, link: settings(method, direction=direction, link=14, tilt=0.3),
     )
     if not renders:
         monkeypatch.setattr(drawing3d, "poses", no_renderer)
     scale = Scale("quick", 1, 1, ("up",), None)
     results = Results({job.key: job() for job in figure_6_windings.jobs(scale)})
     panels = figure_6_windings.build(scale, results).axes
-    assert len(panels) == len(METHODS) * len(figure_6_windings.STAGES)
+    assert len(panels) == len(figure_6_windings.SHOWN) * len(figure_6_windings.STAGES)
     assert all(bool(panel.images) is renders and bool(panel.lines) is not renders for panel in panels)
 
 
@@ -258,7 +288,7 @@ def test_figures_of_penetration_and_of_weights_show_each_winding(monkeypatch):
             return told
 
     figure = figure_penetration.build(SMALL, Same({}))
-    assert [len(panel.lines) for panel in figure.axes] == [3] * 4  # two methods and what counts as wound
+    assert [len(panel.lines) for panel in figure.axes] == [4] * 4  # three windings and what counts as wound
     figure = figure_7_weights.build(SMALL, Same({}))
     assert len(figure.axes) == 8
     assert all(f"path {told['tail_path']:.2f} m" in panel.texts[-1].get_text() for panel in figure.axes[:6])
