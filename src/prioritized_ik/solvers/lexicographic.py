@@ -7,7 +7,7 @@ level) goes to the active-set kernel, which makes it the optimum and proves it.
 
 import importlib.metadata
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import cast
@@ -15,13 +15,15 @@ from typing import cast
 import numpy as np
 
 from prioritized_ik.errors import InfeasibleError, InputError, SolverUnavailableError, StepNotFoundError
-from prioritized_ik.problem import IKProblem
+from prioritized_ik.problem import IKProblem, replaced
 from prioritized_ik.solvers import active_set
 from prioritized_ik.solvers.active_set import Active, Solution
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.protocol import AnyBackend, Backend, StageResult, WholeBackend
 from prioritized_ik.solvers.backends.registry import ACCURACY, get_backend
 from prioritized_ik.solvers.certificate import Proof
+from prioritized_ik.solvers.compiled import fast
+from prioritized_ik.solvers.compiled.library import Question
 from prioritized_ik.solvers.conflict import find_conflict
 from prioritized_ik.solvers.damping import handed_down
 from prioritized_ik.solvers.hierarchy import Hierarchy
@@ -86,12 +88,13 @@ class ActiveSet:
 
     Attributes:
         name: "active-set".
+        last: names of the rows that the last step rested on, those with a multiplier or not.
     """
 
     name = "active-set"
 
     def __init__(self) -> None:
-        self._last: frozenset[str] = frozenset()
+        self.last: frozenset[str] = frozenset()
 
     @property
     def version(self) -> str:
@@ -100,11 +103,11 @@ class ActiveSet:
 
     def guess(self, hierarchy: Hierarchy) -> Active:
         """Return the rows `(r,)` that the last step rested on."""
-        return np.array([name in self._last for name in hierarchy.rows.names], dtype=bool)
+        return np.array([name in self.last for name in hierarchy.rows.names], dtype=bool)
 
-    def remember(self, hierarchy: Hierarchy, active: Active) -> None:
-        """Keep the rows that a step rests on for the next."""
-        self._last = frozenset(hierarchy.rows.names[i] for i in np.flatnonzero(active))
+    def remember(self, names: Iterable[str]) -> None:
+        """Keep the names of the rows that a step rests on for the next."""
+        self.last = frozenset(names)
 
 
 Solver = AnyBackend | ActiveSet
@@ -181,6 +184,9 @@ def joint_step(problem: IKProblem, solver: Solver, options: SolveOptions) -> Joi
 def _undamped_step(problem: IKProblem, solver: Solver, options: SolveOptions) -> JointStep:
     """Return the outcome of one solve of a problem whose damping, if any, is rows."""
     clock = _Clock()
+    compiled = options.formulation == "lexicographic" and options.polish and fast.answers(problem)
+    if compiled and (step := _compiled_step(problem, solver, options)) is not None:
+        return replaced(step, timings=clock.timings())
     hierarchy = Hierarchy(problem, options.rank_tolerance)
     solution: Solution | None = None
     if hierarchy.impossible:
@@ -203,6 +209,10 @@ def _undamped_step(problem: IKProblem, solver: Solver, options: SolveOptions) ->
         else:
             answer = _fold(hierarchy, solver, clock)
             timings = clock.timings()
+            if compiled and not isinstance(answer, str) and (step := _from_answer(hierarchy, answer, problem, options)):
+                spent = clock.timings()
+                timings = Timings(timings.build, spent.solve, spent.build - timings.build)
+                return replace(step, timings=timings, calls=clock.calls, raw=problem.from_metric(answer))
     step = _finished(problem, hierarchy, answer, options, solution)
     spent = clock.timings()
     return replace(
@@ -210,6 +220,26 @@ def _undamped_step(problem: IKProblem, solver: Solver, options: SolveOptions) ->
         timings=Timings(timings.build, spent.solve, spent.build - timings.build),
         calls=clock.calls,
     )
+
+
+def _compiled_step(problem: IKProblem, solver: Solver, options: SolveOptions) -> JointStep | None:
+    """Return the compiled core's step, or None: from the last rows, or the closed form where a QP solver is to guess."""
+    if isinstance(solver, ActiveSet):
+        question = Question.STEP if options.closed_form_first else Question.FROM_GUESS_ONLY
+        step = fast.compiled_step(problem, options.rank_tolerance, solver.last, question)
+        if step is not None and step.status is not StepStatus.CLOSED_FORM:
+            solver.remember(step.active_rows)
+        return step
+    if not options.closed_form_first:
+        return None
+    return fast.compiled_step(problem, options.rank_tolerance, question=Question.CLOSED_FORM_ONLY)
+
+
+def _from_answer(hierarchy: Hierarchy, answer: Array, problem: IKProblem, options: SolveOptions) -> JointStep | None:
+    """Return the step of the compiled core from a QP solver's answer `(m,)`, in the joint metric, or None."""
+    guess = active_set.guessed(hierarchy, answer)
+    names = _named(hierarchy, guess)
+    return fast.compiled_step(problem, options.rank_tolerance, names, Question.FROM_GUESS_ONLY)
 
 
 def _kind(value: object) -> str:
@@ -264,11 +294,15 @@ def _by_active_set(hierarchy: Hierarchy, solver: ActiveSet) -> Solution:
     if guess.any():
         solution = active_set.solve(hierarchy, guess, hierarchy.start)
         if solution.converged:
-            solver.remember(hierarchy, solution.active)
+            solver.remember(_named(hierarchy, solution.active))
             return solution
     solution = _from_nothing(hierarchy)
-    solver.remember(hierarchy, solution.active)
+    solver.remember(_named(hierarchy, solution.active))
     return solution
+
+
+def _named(hierarchy: Hierarchy, active: Active) -> tuple[str, ...]:
+    return tuple(hierarchy.rows.names[i] for i in np.flatnonzero(active))
 
 
 def _from_nothing(hierarchy: Hierarchy) -> Solution:
@@ -374,6 +408,7 @@ def _step(
         certificate=certificate,
         levels=level_reports(hierarchy, u),
         zeros=hierarchy.zeros,
+        active_rows=() if free else _named(hierarchy, proof.ends_on),
     )
 
 

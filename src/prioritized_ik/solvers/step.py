@@ -1,5 +1,6 @@
 """The outcome of one solve: a joint step and what is known of it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -57,6 +58,8 @@ class JointStep:
         conflict: of an infeasible problem, the rows that contradict each other.
         levels: how each `equal` level was cut to its rank, and what that left undone.
         zeros: names of rows that were taken for zero, because they are rounding.
+        active_rows: names of the bounds and rows that the step was computed from; none where it is the closed form.
+        path: which form made it, "compiled" or "python".
     """
 
     dtheta: Array | None
@@ -72,8 +75,10 @@ class JointStep:
     repairs: int = 0
     from_nothing: bool = False
     conflict: Conflict | None = None
-    levels: tuple[LevelReport, ...] = ()
+    levels: Sequence[LevelReport] = ()
     zeros: tuple[str, ...] = ()
+    active_rows: tuple[str, ...] = ()
+    path: str = "python"
 
     def __str__(self) -> str:
         """Return the step's story in a few lines."""
