@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 
 from prioritized_ik.errors import InfeasibleError, InputError, SolverUnavailableError, StepNotFoundError
-from prioritized_ik.problem import IKProblem, replaced
+from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers import active_set
 from prioritized_ik.solvers.active_set import Active, Solution
 from prioritized_ik.solvers.backends.abilities import abilities_of
@@ -168,7 +168,7 @@ def joint_step(problem: IKProblem, solver: Solver, options: SolveOptions) -> Joi
     """Return the outcome of one solve as data: a failure is a status, not an exception. See `solve`."""
     if options.soften:
         problem, options = problem.softened(options.soften), replace(options, soften=())
-    if not any(level.damping and level.below == "free" for level in problem.levels):
+    if not any([level.damping and level.below == "free" for level in problem.levels]):
         return _undamped_step(problem, solver, options)
     clock = _Clock()
     aimed = handed_down(problem, lambda damped: _undamped_step(damped, solver, options))
@@ -186,7 +186,7 @@ def _undamped_step(problem: IKProblem, solver: Solver, options: SolveOptions) ->
     clock = _Clock()
     compiled = options.formulation == "lexicographic" and options.polish and fast.answers(problem)
     if compiled and (step := _compiled_step(problem, solver, options)) is not None:
-        return replaced(step, timings=clock.timings())
+        return step
     hierarchy = Hierarchy(problem, options.rank_tolerance)
     solution: Solution | None = None
     if hierarchy.impossible:

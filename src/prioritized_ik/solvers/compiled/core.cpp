@@ -53,10 +53,8 @@ EXPORTED void core_arrays(Step* step, void** at) {
     *at++ = io.ends.data();
     *at++ = io.guess.data();
     for (auto* array : {&io.dtheta, &io.costs, &io.figures, &io.multipliers}) *at++ = array->data();
-    *at++ = io.active.data();
-    *at++ = io.tight.data();
-    *at++ = io.zero.data();
     *at++ = io.counts.data();
+    *at++ = io.lists.data();
 }
 
 // An `Ending`; -1 if memory runs out.

@@ -360,11 +360,11 @@ inline double smallest_singular(const Triangle& R, double cut, double* x, Arena&
     return -1.0;
 }
 
-// The largest singular value of the linear map given by rows, by power iteration, or a bound from below that is `enough`;
-// -1 if it does not settle.
-inline double largest_singular(const double* const* rows, int n, int m, int stride, double enough, Arena& arena) {
+// The largest singular value of the linear map given by rows, by power iteration, from below: as near as is needed to tell on
+// which side of `compared` it is; -1 if it does not settle.
+inline double largest_singular(const double* const* rows, int n, int m, int stride, double compared, Arena& arena) {
     constexpr int ITERATIONS = 200;
-    constexpr double SETTLED = 1e-10;
+    constexpr double SETTLED = 1e-10, CLEAR = 0.01;
     Scope scope(arena);
     double *x = arena.zeros(stride), *y = arena.doubles(stride), before = 0.0;
     for (int j = 0; j < m; j++) x[j] = (1.0 + 0.01 * (j % 7)) / (1.1 * sqrt(double(m)));  // shorter than one
@@ -374,8 +374,10 @@ inline double largest_singular(const double* const* rows, int n, int m, int stri
         const double size = norm(y, m);
         if (size == 0.0) return 0.0;
         for (int j = 0; j < m; j++) x[j] = y[j] / size;
-        if (sqrt(size) > enough || abs(size - before) <= SETTLED * size) return sqrt(size);
-        before = size;
+        const double value = sqrt(size), change = value - before, apart = (compared - value) / value;
+        // Slow progress towards the largest value, or towards a second one that is hardly smaller, is no longer than its root.
+        if (apart < -SETTLED || abs(change) <= value * max(SETTLED, apart > 0.0 ? CLEAR * apart * apart : 0.0)) return value;
+        before = value;
     }
     return -1.0;
 }
@@ -384,7 +386,7 @@ inline double largest_singular(const double* const* rows, int n, int m, int stri
 // tried first. Returns whether it ended.
 inline bool nonnegative_least_squares(const double* rows, int stride, int t, int n, const double* target, double* x,
                                       Arena& arena) {
-    constexpr double DEPENDENT = 1e-13, GAIN = 1e-14;
+    constexpr double LEFT_OUT = 1e-11, DEPENDENT = 1e-13, GAIN = 1e-14;
     Scope scope(arena);
     double *columns = arena.doubles(size_t(t + 1) * stride), *z = arena.doubles(t + 1), *rest = arena.doubles(stride);
     int *ids = arena.array<int>(t), *order = arena.array<int>(t + 1);
@@ -417,10 +419,19 @@ inline bool nonnegative_least_squares(const double* rows, int stride, int t, int
         return true;
     };
 
+    // All rows, those that depend on others left out.
     clear(x, t);
-    int k = 0;
-    if (solve(k) && positive(k)) {
-        for (int j = 0; j < k; j++) x[ids[j]] = z[j];
+    copy(rows, columns, size_t(t) * stride);
+    double* whole = columns + size_t(t) * stride;
+    clear(whole, stride);
+    copy(target, whole, n);
+    column_qr(columns, stride, t + 1, t, n, order, true, arena);
+    int k = min(t, n);
+    while (k > 0 && abs(columns[size_t(k - 1) * stride + k - 1]) <= LEFT_OUT) k--;
+    copy(whole, z, k);
+    Triangle{columns, stride, k}.solve(z);
+    if (positive(k)) {
+        for (int j = 0; j < k; j++) x[order[j]] = z[j];
         return true;
     }
     for (int i = 0; i < t; i++) inside[i] = 0;

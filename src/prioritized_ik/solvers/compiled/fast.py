@@ -1,32 +1,28 @@
 """From a problem to the joint step of the compiled core, or to None where it declines."""
 
-from collections.abc import Iterable
-from functools import lru_cache
+from collections.abc import Collection
+from time import perf_counter
 
-import numpy as np
-from numpy.typing import NDArray
-
-from prioritized_ik.problem import IKProblem
+from prioritized_ik.problem import IKProblem, trusted
 from prioritized_ik.solvers.certificate import Certificate
 from prioritized_ik.solvers.compiled.library import Ending, Question, library
 from prioritized_ik.solvers.compiled.workspace import FIGURES, Sizes, Workspace, workspace_for
 from prioritized_ik.solvers.report import DeferredReports
-from prioritized_ik.solvers.step import JointStep, StepStatus
-from prioritized_ik.tolerances import NOISE
+from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
+from prioritized_ik.tolerances import CERTIFIED, NOISE
+
+_STATUS = {Ending.CLOSED_FORM: StepStatus.CLOSED_FORM, Ending.SOLVED: StepStatus.SOLVED}
 
 
 def answers(problem: IKProblem) -> bool:
     """Whether the core takes problems of this kind, see the table in `compiled/__init__.py`."""
-    return (
-        library().core is not None
-        and problem.noise == NOISE
-        and len(problem.reference) > 0
-        and all(level.kind == "equal" for level in problem.levels)
-    )
+    if library().core is None or problem.noise != NOISE or not len(problem.reference):
+        return False
+    return all([level.kind == "equal" for level in problem.levels])
 
 
 def compiled_step(
-    problem: IKProblem, rank_tolerance: float, rows: Iterable[str] = (), question: Question = Question.STEP
+    problem: IKProblem, rank_tolerance: float, rows: Collection[str] = (), question: Question = Question.STEP
 ) -> JointStep | None:
     """Return the certified step of a problem that the core `answers`, None if it declines.
 
@@ -36,84 +32,74 @@ def compiled_step(
         rows: names of those that the step may rest on, such as the last step's.
         question: the step; only a closed form that breaks no row; or no closed form first.
     """
+    started = perf_counter()
     flat = problem if problem.metric.ndim == 1 else problem.in_metric
     sizes = Sizes.of(flat)
     workspace = workspace_for(sizes)
     workspace.fill(flat, sizes, rank_tolerance)
+    workspace.name(flat)
     workspace.guess[:] = False
-    if rows:
-        numbers = _numbers(flat.bounds.names, flat.rows.names)
-        for name in rows:
-            number = numbers.get(name)
-            if number is not None:
-                workspace.guess[number] = True
-    return _step(problem, flat, sizes, workspace, rank_tolerance, workspace.solve(sizes, question))
+    for name in rows:
+        number = workspace.numbers.get(name)
+        if number is not None:
+            workspace.guess[number] = True
+    ending = workspace.solve(sizes, question)
+    return _step(problem, flat, workspace, rank_tolerance, ending, started) if ending in _STATUS else None
 
 
 def _step(
-    problem: IKProblem, flat: IKProblem, sizes: Sizes, workspace: Workspace, rank_tolerance: float, ending: int
-) -> JointStep | None:
-    if ending >= Ending.BINDING:
-        return None
-    m, levels = sizes.joints, sizes.levels
-    every = 2 * m + sizes.rows
-    figures = workspace.figures[: FIGURES * (levels + 1) + 2].tolist()
+    problem: IKProblem, flat: IKProblem, workspace: Workspace, rank_tolerance: float, ending: int, started: float
+) -> JointStep:
+    levels = len(problem.levels)
+    figures: list[float] = workspace.figures[: FIGURES * (levels + 1) + 2].tolist()
     dtheta = workspace.dtheta.copy()
     if flat is not problem:
         dtheta = problem.from_metric(dtheta)
-    held: tuple[tuple[str, ...], ...] = ((),) * (levels + 1)
-    corrections, _, _, multipliers, zeros = workspace.counts.tolist()
-    if multipliers:
-        by_level = workspace.multipliers[: (levels + 1) * every].reshape(levels + 1, every)
-        held = tuple(_names(flat, row > 0.0) for row in by_level)
-    end = -2
-    certificate = Certificate(
-        figures[-2],
-        tuple(figures[0:end:FIGURES]),
-        tuple(figures[1:end:FIGURES]),
-        tuple(figures[2:end:FIGURES]),
-        tuple(figures[3:end:FIGURES]),
-        held,
+    corrections, _, _, active, tight, zero, holding = workspace.counts.tolist()
+    tight += active
+    zero += tight
+    lists: list[int] = workspace.lists[: zero + 2 * holding].tolist()
+    names = workspace.names
+    held: list[tuple[str, ...]] = [()] * (levels + 1)
+    for place in range(zero, len(lists), 2):
+        held[lists[place]] += (names[lists[place + 1]],)
+    violation = figures[-2]
+    certificate = trusted(
+        Certificate,
+        violation=violation,
+        gaps=tuple(figures[0:-2:FIGURES]),
+        relative_gaps=tuple(figures[1:-2:FIGURES]),
+        stationarity=tuple(figures[2:-2:FIGURES]),
+        rounding=tuple(figures[3:-2:FIGURES]),
+        held_by=tuple(held),
+        tolerance=CERTIFIED,
     )
     return JointStep(
         dtheta,
-        StepStatus.CLOSED_FORM if ending == Ending.CLOSED_FORM else StepStatus.SOLVED,
-        costs=tuple(workspace.costs[:levels].tolist()),
-        tight_rows=_names(flat, workspace.tight[:every]),
-        violation=figures[-2],
+        _STATUS[Ending(ending)],
+        "",
+        tuple(workspace.costs[:levels].tolist()),
+        tuple([names[i] for i in lists[active:tight]]),
+        violation,
+        Timings(perf_counter() - started, 0.0),
         certificate=certificate,
         repairs=corrections,
         levels=DeferredReports(problem, rank_tolerance, dtheta),
-        zeros=_zeros(flat, workspace) if zeros else (),
-        active_rows=() if ending == Ending.CLOSED_FORM else _names(flat, workspace.active[:every]),
+        zeros=_row_names(problem, lists[tight:zero]),
+        active_rows=tuple([names[i] for i in lists[:active]]),
         path="compiled",
     )
 
 
-def _names(problem: IKProblem, chosen: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Return the names of the `chosen` upper bounds, lower bounds and rows, as `IKProblem.inequalities` has them."""
-    numbers = chosen.nonzero()[0]
-    if not len(numbers):
-        return ()
-    m, joints, rows = len(problem.reference), problem.bounds.names, problem.rows.names
-    return tuple(
-        f"{joints[i]} upper" if i < m else f"{joints[i - m]} lower" if i < 2 * m else rows[i - 2 * m]
-        for i in numbers.tolist()
-    )
-
-
-def _zeros(problem: IKProblem, workspace: Workspace) -> tuple[str, ...]:
-    """Return the names of the levels' rows that are rounding."""
+def _row_names(problem: IKProblem, numbers: list[int]) -> tuple[str, ...]:
+    """Return the names of the levels' rows of these `numbers`, counted through all levels."""
     names: list[str] = []
-    end = 0
+    before, rest = 0, iter(numbers)
+    number = next(rest, None)
     for level in problem.levels:
-        start, end = end, end + len(level.target)
-        names += [f"{level.name} row {i + 1}" for i in workspace.zero[start:end].nonzero()[0].tolist()]
+        end = before + len(level.target)
+        while number is not None and number < end:
+            names.append(f"{level.name} row {number - before + 1}")
+            number = next(rest, None)
+        before = end
     return tuple(names)
-
-
-@lru_cache(maxsize=64)
-def _numbers(joints: tuple[str, ...], rows: tuple[str, ...]) -> dict[str, int]:
-    """Return each upper bound's, lower bound's and row's number by its name."""
-    names = (*(f"{name} upper" for name in joints), *(f"{name} lower" for name in joints), *rows)
-    return {name: number for number, name in reversed(list(enumerate(names)))}

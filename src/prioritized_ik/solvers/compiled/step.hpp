@@ -9,6 +9,7 @@
 #pragma once
 
 #include <cstdint>
+#include <numeric>
 
 #include "dense.hpp"
 
@@ -61,14 +62,17 @@ struct Exchange {
     // out
     std::vector<double> dtheta, costs;
     std::vector<double> figures;      // a level: gap, relative gap, stationarity, rounding; then violation, scale
-    std::vector<double> multipliers;  // a level: of upper bounds, lower bounds, rows
-    std::vector<uint8_t> active, tight, zero;  // of hard rows; of the levels' rows, whether they are rounding
-    std::vector<int32_t> counts;               // corrections, faces, proofs, multipliers, rows that are rounding
+    std::vector<double> multipliers;  // in the order of the list that names them
+    std::vector<int32_t> counts;      // corrections, faces, proofs; then the lengths of the lists
+    // Numbers of the hard rows that the step was computed from, and of those it ends on; of the levels' rows that are rounding;
+    // of the rows that hold a level, each after its level's number. Upper bounds come first, then lower bounds, then rows.
+    std::vector<int32_t> lists;
 };
 
 class Step {
   public:
     enum Question { STEP, CLOSED_FORM_ONLY, FROM_GUESS_ONLY };
+    enum Count { CORRECTIONS, FACES, PROOFS, ACTIVE, TIGHT, ZERO, HOLDING, COUNTS };
     enum Figure { LEVEL_GAP, RELATIVE_GAP, STATIONARITY, ROUNDING, FIGURES };
 
     const int stride, figure_count;
@@ -98,10 +102,8 @@ class Step {
         io.costs.resize(sizes.levels);
         io.figures.resize(figure_count);
         io.multipliers.resize((sizes.levels + 1) * all);
-        io.active.resize(all);
-        io.tight.resize(all);
-        io.zero.resize(sizes.level_rows);
-        io.counts.resize(5);
+        io.counts.resize(COUNTS);
+        io.lists.resize(2 * all + sizes.level_rows + 2 * (sizes.levels + 1) * all);
         levels_.resize(sizes.levels + 1);
     }
 
@@ -131,6 +133,7 @@ class Step {
         double* inverse;           // R^-1 by columns
         double* sizes;             // lengths of these columns
         double *reflectors, *taus; // of the rows' coordinates, where there are any
+        bool is_cut;               // by more than rounding
         double strength, inverse_norm, shortest, longest, demand, weakest, settled, blur;
         double* target() const { return above + size_t(start) * R.stride; }
         int end() const { return start + rank; }
@@ -262,6 +265,7 @@ class Step {
 
         // Levels: the rows that mean something, damping among them.
         rows_ = equalities_;
+        zero_ = arena_.array<int>(now_.level_rows);
         int first = 0;
         for (int l = 0; l < now_.levels; l++) {
             Block& block = levels_[l];
@@ -276,8 +280,7 @@ class Step {
             block.order = arena_.array<int>(n + damped);
             for (int i = first; i < end; i++) {
                 const bool little = is_rounding(lengths[i]);
-                io.zero[i] = little && lengths[i] > 0.0;
-                io.counts[4] += io.zero[i];
+                if (little && lengths[i] > 0.0) zero_[io.counts[ZERO]++] = i;
                 if (little || io.weights[i] == 0.0) continue;
                 block.row[block.n] = matrix + size_t(i) * stride;
                 block.root[block.n] = sqrt(io.weights[i]);
@@ -335,6 +338,7 @@ class Step {
         int c = factor_equalities(row);
         lowest_ = max(noise_, tol_.SETTLED_PER_RANK_TOLERANCE * rank_tolerance_);
         double settled = lowest_;
+        turned_ = 0.0;
         at = equalities_;
         for (int l = 0; l < now_.levels; l++) {
             Block& block = levels_[l];
@@ -342,6 +346,7 @@ class Step {
             for (int i = 0; i < block.n; i++) block.order[i] = i;
             factor_level(block, row + at, rows_ - at, settled);
             settled = block.settled;
+            turned_ = max(turned_, block.blur);
             c += block.rank;
             at += block.n;
         }
@@ -416,6 +421,7 @@ class Step {
         const int before = r;
         r = cut(block, row, all, r, top, frobenius, settled);
         block.rank = r;
+        block.is_cut = r < before && rank_tolerance_ > 0.0;
         // How far rounding may have turned the directions below; `weakest` is a bound from below.
         block.blur = r ? tol_.PROJECTION * tol_.EPS / block.weakest : 0.0;
         block.settled = max(settled, block.blur);
@@ -454,10 +460,10 @@ class Step {
             double relative = least;
             if (!rounding) {
                 // Bounded from both sides by lengths of rows; the norm itself is worked out only where these leave it open.
-                const double enough = least / (limit * (1.0 - 2.0 * tol_.CUT_MARGIN));
+                const double enough = least / limit;
                 relative = least / frobenius;
                 if (!(relative > limit)) {
-                    const double largest = top > enough ? top : largest_singular(block.row, n, m_, stride, enough, arena_);
+                    const double largest = top > enough * (1.0 + tol_.CUT_MARGIN) ? top : largest_singular(block.row, n, m_, stride, enough, arena_);
                     if (largest < 0.0) throw Declined{RANK};
                     relative = least / largest;
                 }
@@ -564,6 +570,12 @@ class Step {
         chain_.apply_reversed(u);
     }
 
+    // Whether rounding may have put a row that moves by so much on the wrong side of `settled`.
+    bool may_be_settled(double moves, double settled) const {
+        return moves > max(lowest_ / tol_.NEARLY, lowest_ - 2.0 * turned_) &&
+               moves < min(settled * tol_.NEARLY, settled + 2.0 * turned_);
+    }
+
     // A hard row in x, without what is too little of it to count, which is its drift.
     const double* carried(int i) {
         double* row = carried_ + size_t(i) * stride;
@@ -587,7 +599,7 @@ class Step {
                 has_drift_[i] = 1;
                 for (int j = c; j < m_; j++) drift[j] += row[j], row[j] = 0.0;
             }
-            if (moves > lowest_ / tol_.NEARLY && moves < tol_.NEARLY * levels_[l].settled) in_doubt_[i] = 1;
+            if (may_be_settled(moves, levels_[l].settled)) in_doubt_[i] = 1;
         }
         return row;
     }
@@ -596,7 +608,7 @@ class Step {
 
     // x_ and u_ := the strict closed form where the rows `ids` (t) hold. See active_set.face_solution.
     void face(const int* ids, int t) {
-        io.counts[1]++;
+        io.counts[FACES]++;
         doubt_ = false;
         Scope scope(arena_);
         double *rows = arena_.doubles(size_t(t) * stride), *sides = arena_.doubles(t);
@@ -672,7 +684,7 @@ class Step {
         int left = 0;
         for (; left < min(below, t); left++) {
             const double size = abs(columns[size_t(left) * s + left]);
-            if (size > lowest_ / tol_.NEARLY && size < tol_.NEARLY * settled_) doubt_ = true;
+            if (may_be_settled(size, settled_)) doubt_ = true;
             if (!(size > settled_)) break;
         }
         for (int i = 0; i < t; i++) {
@@ -807,35 +819,50 @@ class Step {
         return t;
     }
 
-    // Whether the set of active rows is new to this search.
-    bool is_new() {
+    uint64_t digest() const {
         uint64_t hash = 1469598103934665603ull;
         for (int i = 0; i < all_; i++) hash = (hash ^ active_[i]) * 1099511628211ull;
-        if (std::find(visited_.begin(), visited_.end(), hash) != visited_.end()) return false;
-        visited_.push_back(hash);
-        return true;
+        return hash;
     }
+    bool is_visited() const { return std::find(visited_.begin(), visited_.end(), digest()) != visited_.end(); }
 
-    // From the active rows to the optimum; false if that leads nowhere.
+    // From the active rows to the optimum; false if that leads nowhere. No set is visited twice: where the rule would return
+    // to one, the next best row is dropped instead.
     bool search() {
         Scope scope(arena_);
         int* ids = arena_.array<int>(all_);
+        uint8_t* proven = arena_.array<uint8_t>(all_);  // the active rows at the last proof, and the slacks there
+        double* proven_slack = arena_.doubles(all_);
+        size_t next = 0;
         visited_.clear();
+        wrong_.clear();
         slacks(start_, slack_);
+        auto dropped = [&] {
+            for (; next < wrong_.size(); next++) {
+                std::memcpy(active_, proven, all_);
+                active_[wrong_[next]] = 0;
+                if (!is_visited()) {
+                    copy(proven_slack, slack_, all_);
+                    return true;
+                }
+            }
+            return false;
+        };
         for (int iteration = 0; iteration < int(tol_.ITERATIONS); iteration++) {
-            if (!is_new()) return false;
+            visited_.push_back(digest());
             face(ids, listed(ids));
             measure();
             if (!(size_ < INFINITE)) return false;
+            io.counts[CORRECTIONS] = iteration;
             if (advance()) {
-                io.counts[0]++;
+                if (is_visited() && !dropped()) return false;
                 continue;
             }
             bool loose = false;
             for (int i = 0; i < all_; i++)
                 if (active_[i] && reach_[i] > tol_.CERTIFIED * scale_) active_[i] = 0, loose = true;
             if (loose) {
-                io.counts[0]++;
+                if (is_visited() && !dropped()) return false;
                 continue;
             }
             bool same = true;
@@ -847,9 +874,10 @@ class Step {
                 else conclude(ids, t);
                 return true;
             }
-            if (wrong_ < 0) return false;
-            active_[wrong_] = 0;
-            io.counts[0]++;
+            std::memcpy(proven, active_, all_);
+            copy(slack_, proven_slack, all_);
+            next = 0;
+            if (!dropped()) return false;
         }
         return false;
     }
@@ -899,13 +927,13 @@ class Step {
 
     // -------------------------------------------------------------------------------------------------------- the certificate
 
-    // Whether u_ is proven optimal from the rows `ids` (t) that it ends on. If not, `wrong_` is the active row that pulls
-    // most, or -1. See certificate.py; rounding explains nothing away here, so that what holds here holds there.
+    // Whether u_ is proven optimal from the rows `ids` (t) that it ends on. If not, `wrong_` are the active rows that
+    // pull, most first. See certificate.py; rounding explains nothing away here, so that what holds here holds there.
     bool prove(const int* ids, int t) {
-        io.counts[2]++;
+        io.counts[PROOFS]++;
         Scope scope(arena_);
         Multipliers own(*this, ids, t);
-        wrong_ = -1;
+        wrong_.clear();
         blur_ = off_ = above_ = 0.0;
         for (int l = 0; l < now_.levels; l++)
             if (!prove_level(own, l)) return false;
@@ -944,13 +972,23 @@ class Step {
         double terms, cost, steepness, strength, size;
     };
 
+    // The step without what it does along directions that a level hardly feels and that were cut from it.
+    const double* without_below(const Block& block) {
+        double *x = arena_.doubles(stride), *u = arena_.doubles(stride);
+        into(u_, x);
+        clear(x + block.end(), stride - block.end());
+        out_of(x, u);
+        return u;
+    }
+
     Gradient gradient_of(const Block& block) {
         const int n = block.n, s = padded(max(n, 1));
         Gradient g{arena_.zeros(max(s, stride)), 0.0, 0.0, 0.0, 0.0, 0.0};
         double *residual = arena_.zeros(s), *slope = arena_.zeros(stride);
+        const double* u = block.is_cut ? without_below(block) : u_;
         for (int i = 0; i < n; i++) {
             const int id = block.order[i];
-            const double *row = block.row[id], root = block.root[id], value = root * (dot(row, u_, stride) - block.side[id]);
+            const double *row = block.row[id], root = block.root[id], value = root * (dot(row, u, stride) - block.side[id]);
             residual[i] = value;
             g.cost += value * value;
             g.strength += root * root * block.length[id] * block.length[id];
@@ -984,6 +1022,7 @@ class Step {
     }
 
     bool prove_level(Multipliers& own, int l) {
+        constexpr int IMPROVEMENTS = 2;
         Scope scope(arena_);
         const bool last = l == now_.levels;
         const Block* block = last ? nullptr : &levels_[l];
@@ -1001,7 +1040,7 @@ class Step {
                 for (int i = 0; i < own.t; i++) {
                     const double *row = own.row[i], moves = norm(row + c, v);
                     if ((own.leak[i] < INFINITE) != (pass == 0)) continue;
-                    if (moves > lowest_ / tol_.NEARLY && moves < tol_.NEARLY * settled_) doubt_ = true;
+                    if (may_be_settled(moves, settled_)) doubt_ = true;
                     if (!(moves > settled_)) continue;
                     double* normal = normals + size_t(n) * stride;
                     copy(row + c, normal, v);
@@ -1018,14 +1057,23 @@ class Step {
             if (!balance(normals, n, held, v, g.values, combination)) return pulls(own, normals, place, n, held, v, g);
         }
 
-        // What is left of the gradient, and how much of it rounding can feign; how far that may reach as a step.
-        double *rest = arena_.zeros(padded(v)), *rough = arena_.zeros(padded(v)), *beyond = arena_.doubles(padded(v));
-        double sum = 0.0, net = 0.0, explained = 0.0;
-        copy(g.values, rest, r);
+        // What is left of the gradient; where that is not nothing yet, the combination is improved by what is left.
+        const Span span{block, c, r, below, far};
+        double* rest = arena_.zeros(stride);
+        balance_left(span, own, place, n, combination, sizes, g.values, rest);
+        double excess = as_step(span, rest);
+        for (int again = 0; again < IMPROVEMENTS && n && excess > tol_.MARGIN * tol_.CERTIFIED * scale_; again++) {
+            if (!improve(normals, n, held, v, rest, combination)) break;
+            balance_left(span, own, place, n, combination, sizes, g.values, rest);
+            excess = as_step(span, rest);
+        }
+        const double unfelt = norm(rest + r, below);
+
+        // How much of the rest rounding can feign, and how far that reaches as a step.
+        double *rough = arena_.zeros(padded(v)), *beyond = arena_.doubles(padded(v)), sum = 0.0, net = 0.0, explained = 0.0;
         for (int j = 0; j < r; j++) rough[j] = tol_.ROUNDING * g.terms;
         for (int i = 0; i < n; i++) {
             const double *normal = normals + size_t(i) * stride, share = tol_.ROUNDING * abs(combination[i]);
-            add(combination[i], normal, rest, v);
             for (int j = 0; j < v; j++) rough[j] += share * abs(normal[j]);
             sum += abs(combination[i]);
             net += abs(combination[i]) / sizes[i];
@@ -1040,16 +1088,6 @@ class Step {
         const double follows = block ? g.strength * block->inverse_norm : 0.0;
         const double leaks = block ? tol_.EPS * follows * sqrt(g.cost) * block->longest : 0.0;
         explained = max(sqrt(explained), leaks);
-        double displaced = dot(rest, rest, r);
-        if (block) {
-            Scope inner(arena_);
-            double* step = arena_.zeros(stride);
-            copy(rest, step, r);
-            block->R.solve(step);
-            displaced = dot(step, step, r);
-        }
-        const double unfelt = norm(rest + r, below);
-        const double excess = sqrt(displaced + far * far * unfelt * unfelt);
 
         // Weak duality.
         double gap = dot(beyond, beyond, v) + dot(rough, rough, v) + 2.0 * norm(beyond + r, below) / far * scale_, apart = 0.0;
@@ -1081,8 +1119,63 @@ class Step {
         figures[RELATIVE_GAP] = gap > 0.0 && demand > 0.0 ? gap / (demand * demand) : 0.0;
         figures[STATIONARITY] = excess / scale_;
         figures[ROUNDING] = max(explained, max(apart, off_)) / scale_;
-        if (excess <= tol_.CERTIFIED * scale_ && figures[RELATIVE_GAP] <= tol_.GAP) return true;
+        const double allowed = last ? tol_.UNDECIDED : tol_.GAP;  // as in Certificate.holds
+        if (excess <= tol_.CERTIFIED * scale_ && figures[RELATIVE_GAP] <= allowed) return true;
         return pulls(own, normals, place, n, held, v, g);
+    }
+
+    // Where a level's proof stands: its block, or null, and its coordinates, with those below.
+    struct Span {
+        const Block* block;
+        int start, rank, below;
+        double far;
+    };
+
+    // rest := the gradient with the combination of rows added. The rows are summed before the level's coordinates are
+    // changed, as each by itself would leave more rounding than rows that nearly cancel leave of each other.
+    void balance_left(const Span& at, const Multipliers& own, const int* place, int n, const double* combination,
+                      const double* sizes, const double* gradient, double* rest) {
+        clear(rest, stride);
+        for (int i = 0; i < n; i++)
+            if (combination[i] != 0.0) add(combination[i] / sizes[i], own.row[place[i]] + at.start, rest, at.rank + at.below);
+        if (at.block) {
+            at.block->R.solve_transposed(rest);
+            for (int j = at.rank; j < at.rank + at.below; j++) rest[j] *= at.far;
+        }
+        for (int j = 0; j < at.rank; j++) rest[j] += gradient[j];
+    }
+
+    // How long a step is that a gradient in a level's coordinates asks for.
+    double as_step(const Span& at, const double* rest) {
+        Scope scope(arena_);
+        double* step = arena_.zeros(stride);
+        copy(rest, step, at.rank);
+        if (at.block) at.block->R.solve(step);
+        const double unfelt = at.far * norm(rest + at.rank, at.below);
+        return sqrt(dot(step, step, at.rank) + unfelt * unfelt);
+    }
+
+    // Adds to a combination what balances the rest in least squares; false, and no change, if a sign would be wrong.
+    bool improve(const double* normals, int n, int held, int v, const double* rest, double* combination) {
+        Scope scope(arena_);
+        double* columns = arena_.doubles(size_t(n + 1) * stride);
+        int *ids = arena_.array<int>(n), *order = arena_.array<int>(n), k = 0;
+        for (int i = 0; i < n; i++)
+            if (combination[i] != 0.0) {
+                copy(normals + size_t(i) * stride, columns + size_t(k) * stride, stride);
+                ids[k++] = i;
+            }
+        double* side = columns + size_t(k) * stride;
+        clear(side, stride);
+        for (int j = 0; j < v; j++) side[j] = -rest[j];
+        column_qr(columns, stride, k + 1, k, v, order, true, arena_);
+        int rank = min(k, v);
+        while (rank > 0 && abs(columns[size_t(rank - 1) * stride + rank - 1]) <= tol_.DEPENDENT) rank--;
+        Triangle{columns, stride, rank}.solve(side);
+        for (int j = 0; j < rank; j++)
+            if (const int i = ids[order[j]]; i >= held && combination[i] + side[j] < 0.0) return false;
+        for (int j = 0; j < rank; j++) combination[ids[order[j]]] += side[j];
+        return rank > 0;
     }
 
     // The combination of normals (n), of either sign for the first `held`, that balances the gradient best.
@@ -1117,12 +1210,11 @@ class Step {
         return true;
     }
 
-    // Finds the active row whose multiplier is most negative if all active ones are taken as equalities; always false.
+    // Finds the active rows whose multipliers are negative if all active ones are taken as equalities; always false.
     bool pulls(const Multipliers& own, const double* normals, const int* place, int n, int held, int v, const Gradient& g) {
         Scope scope(arena_);
         double* columns = arena_.zeros(size_t(n + 1) * stride);
-        int *rows = arena_.array<int>(n), *order = arena_.array<int>(n), k = 0;
-        wrong_ = -1;
+        int *rows = arena_.array<int>(n), *order = arena_.array<int>(n), *places = arena_.array<int>(n), k = 0;
         for (int i = 0; i < n; i++)
             if (active_[own.ids[place[i]]]) {
                 copy(normals + size_t(i) * stride, columns + size_t(k) * stride, v);
@@ -1134,9 +1226,13 @@ class Step {
         int rank = min(k, v);
         while (rank > 0 && abs(columns[size_t(rank - 1) * stride + rank - 1]) <= tol_.DEPENDENT) rank--;
         Triangle{columns, stride, rank}.solve(side);
-        double least = 0.0;
-        for (int j = 0; j < rank; j++)
-            if (rows[order[j]] >= held && side[j] < least) least = side[j], wrong_ = own.ids[place[rows[order[j]]]];
+        std::iota(places, places + rank, 0);
+        std::sort(places, places + rank, [&](int i, int j) { return side[i] < side[j]; });
+        for (const bool is_held : {false, true})  // those held by a level above may have either sign, if they are held
+            for (int j = 0; j < rank; j++) {
+                const int row = rows[order[places[j]]];
+                if ((row < held) == is_held && side[places[j]] < 0.0) wrong_.push_back(own.ids[place[row]]);
+            }
         return false;
     }
 
@@ -1155,7 +1251,7 @@ class Step {
             else variation = max(variation, figures[RELATIVE_GAP]);
             variation = max(variation, figures[ROUNDING]);
         }
-        if (!clear_cut || !(variation <= margin * margin * tol_.UNDECIDED)) throw Declined{UNPROVEN};
+        if (!clear_cut || !(variation <= margin * tol_.UNDECIDED)) throw Declined{UNPROVEN};
         if (doubt_) throw Declined{NEARLY_DECIDED};
         for (int i = 0; i < all_ && t; i++)
             if (reach_[i] > margin * near && reach_[i] < near / margin) throw Declined{NEARLY_TIGHT};
@@ -1163,23 +1259,22 @@ class Step {
         figures[1] = scale_;
 
         for (int j = 0; j < m_; j++) io.dtheta[j] = u_[j] / io.metric_root[j];
-        int count = 0;
+        int32_t *list = io.lists.data(), *counts = io.counts.data();
+        for (int i = 0; i < t; i++) *list++ = ids[i];
+        counts[ACTIVE] = t;
         for (int i = 0; i < all_; i++) {
-            io.active[i] = 0;
-            io.tight[i] = reach_[i] <= tol_.ACCEPTED_VIOLATION * scale_;
+            const int joint = i < m_ ? i : i - m_;
+            const bool frozen = i < 2 * m_ && frozen_ && io.lower[joint] == io.upper[joint];
+            if (frozen || reach_[i] <= tol_.ACCEPTED_VIOLATION * scale_) *list++ = i, counts[TIGHT]++;
         }
-        for (int j = 0; j < m_; j++)
-            if (io.lower[j] == io.upper[j]) io.tight[j] = io.tight[m_ + j] = 1;
-        for (int i = 0; i < t; i++) io.active[ids[i]] = 1;
-        for (int l = 0; l <= levels; l++) {
-            double* to = io.multipliers.data() + size_t(l) * all_;
-            clear(to, all_);
-            for (int i = 0; i < t; i++) {
-                to[ids[i]] = multipliers_[size_t(l) * t + i];
-                count += to[ids[i]] > 0.0;
-            }
-        }
-        io.counts[3] = count;
+        for (int i = 0; i < counts[ZERO]; i++) *list++ = zero_[i];
+        for (int l = 0; l <= levels; l++)
+            for (int i = 0; i < t; i++)
+                if (const double value = multipliers_[size_t(l) * t + i]; value > 0.0) {
+                    *list++ = l;
+                    *list++ = ids[i];
+                    io.multipliers[counts[HOLDING]++] = value;
+                }
         for (int l = 0; l < levels; l++) {
             const Block& block = levels_[l];
             double cost = 0.0;
@@ -1204,11 +1299,12 @@ class Step {
     int all_ = 0, rows_ = 0, equalities_ = 0, frozen_ = 0;
     double noise_ = 0.0, rank_tolerance_ = 0.0;
     bool has_reference_ = false;
+    int* zero_ = nullptr;
     double *side_ = nullptr, *normal_ = nullptr, *equal_ = nullptr, *equal_side_ = nullptr, *reference_ = nullptr;
 
     // the factors
     int rest_ = 0, *place_ = nullptr;
-    double lowest_ = 0.0, settled_ = 0.0, *begin_ = nullptr, *carried_ = nullptr, *drift_ = nullptr;
+    double lowest_ = 0.0, settled_ = 0.0, turned_ = 0.0, *begin_ = nullptr, *carried_ = nullptr, *drift_ = nullptr;
     uint8_t *is_carried_ = nullptr, *has_drift_ = nullptr, *in_doubt_ = nullptr;
 
     // the step
@@ -1217,7 +1313,7 @@ class Step {
     double closed_form_ = 0.0, likely_ = 0.0, worst_ = 0.0, size_ = 0.0, scale_ = 0.0;
     double blur_ = 0.0, off_ = 0.0, above_ = 0.0;
     bool doubt_ = false;
-    int wrong_ = -1;
+    std::vector<int> wrong_;  // active rows to drop in turn
 };
 
 }  // namespace prioritized_ik

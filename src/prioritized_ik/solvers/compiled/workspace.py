@@ -14,8 +14,8 @@ from prioritized_ik.solvers.compiled.library import Question, library, tolerance
 from prioritized_ik.validation import Array
 
 FIGURES = 4  # of a level: gap, relative gap, stationarity, rounding
-COUNTS = 5  # corrections, faces, proofs, multipliers, rows that are rounding
-ARRAYS = 23  # that both sides see
+COUNTS = 7  # corrections, faces, proofs; the lengths of the lists of active, tight, zero and holding rows
+ARRAYS = 21  # that both sides see
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,11 @@ class Workspace:
         self.dtheta, self.costs = _reals(next(at), m), _reals(next(at), levels)
         self.figures = _reals(next(at), FIGURES * (levels + 1) + 2)
         self.multipliers = _reals(next(at), (levels + 1) * every)
-        self.active, self.tight, self.zero = _flags(next(at), every), _flags(next(at), every), _flags(next(at), k)
         self.counts = _integers(next(at), COUNTS)
+        self.lists = _integers(next(at), 2 * every + k + 2 * (levels + 1) * every)
+        self._names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
+        self.names: tuple[str, ...] = ()  # of upper bounds, lower bounds and rows, as lists number them
+        self.numbers: dict[str, int] = {}
 
     def fill(self, problem: IKProblem, sizes: Sizes, rank_tolerance: float) -> None:
         """Write a problem that has room, whose metric is diagonal."""
@@ -118,6 +121,14 @@ class Workspace:
         np.sqrt(problem.metric, out=self.metric_root)
         self.reference[:] = problem.reference
         self.settings[:] = rank_tolerance, problem.noise
+
+    def name(self, problem: IKProblem) -> None:
+        """Let `names` and `numbers` be those of a problem."""
+        found = problem.bounds.names, problem.rows.names
+        if found != self._names:
+            self._names = found
+            self.names = (*(f"{name} upper" for name in found[0]), *(f"{name} lower" for name in found[0]), *found[1])
+            self.numbers = {name: number for number, name in reversed(list(enumerate(self.names)))}
 
     def solve(self, sizes: Sizes, question: Question) -> int:
         """Return the `Ending` of the problem that was written."""
