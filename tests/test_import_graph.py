@@ -20,7 +20,7 @@ LAYERS = [
     {"models"},
     {"virtual_arms"},
     {"touch", "problem", "weights"},
-    {"limits"},
+    {"limits", "live"},
     {"solvers"},
     {"winding"},
     {"cli", "comparisons", "paper_repro"},

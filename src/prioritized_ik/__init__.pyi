@@ -13,6 +13,7 @@ from .problem import Equalities as Equalities
 from .problem import IKProblem as IKProblem
 from .problem import Level as Level
 from .problem import Rows as Rows
+from .live import LiveProblem as LiveProblem
 from .touch import TouchSensor as TouchSensor
 from .limits import contact_rows as contact_rows
 from .limits import joint_metric as joint_metric
@@ -23,6 +24,7 @@ from .limits import step_bounds as step_bounds
 from .solvers.lexicographic import SolveOptions as SolveOptions
 from .solvers.lexicographic import solve as solve
 from .solvers.lexicographic import get_solver as get_solver
+from .solvers.batch import solve_many as solve_many
 from .solvers.step import JointStep as JointStep
 from .solvers.step import StepStatus as StepStatus
 from .solvers.certificate import Certificate as Certificate
