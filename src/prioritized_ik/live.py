@@ -19,7 +19,7 @@ import numpy as np
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows, trusted
-from prioritized_ik.validation import LARGEST, Array
+from prioritized_ik.validation import LARGEST, Array, lengths
 
 
 class LiveProblem:
@@ -124,21 +124,14 @@ class LiveProblem:
         finite += [b for b, level in zip(self._targets, self._first.levels, strict=True) if not level.is_soft]
         sides = [b for b, level in zip(self._targets, self._first.levels, strict=True) if level.is_soft]
         return (
-            all(array.dtype == np.float64 for array in arrays)
-            and all(not array.size or -LARGEST <= array.min() <= array.max() <= LARGEST for array in finite)
-            and all(not weights.size or weights.min() >= 0.0 for weights in self._weights)
+            all([array.dtype == np.float64 for array in arrays])
+            and all([np.vdot(array, array) <= LARGEST**2 for array in finite])  # so is every number; none is NaN
+            and all([(weights >= 0.0).all() for weights in self._weights])
+            and all([(side >= -LARGEST).all() for side in (*sides, self.row_upper)])
             and bool((self.lower <= self.upper).all())
-            and all(not side.size or -LARGEST <= side.min() for side in (*sides, self.row_upper))
-            and not self._has_hard_zero_row()
-            and not self._has_infinite_bound()
+            and bool((self.lower < np.inf).all() and (self.upper > -np.inf).all())
+            and all([lengths(rows).all() for rows in (self.row_matrix, self.equality_matrix) if len(rows)])
         )
-
-    def _has_hard_zero_row(self) -> bool:
-        rows = (self.row_matrix, self.equality_matrix)
-        return any(len(matrix) and not np.abs(matrix).max(axis=1, initial=0.0).all() for matrix in rows)
-
-    def _has_infinite_bound(self) -> bool:
-        return bool((self.lower == np.inf).any() or (self.upper == -np.inf).any())
 
     def _complain(self) -> None:
         """Check everything as `IKProblem` does, which says what is wrong; what it accepts is right after all."""

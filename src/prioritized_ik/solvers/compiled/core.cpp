@@ -52,8 +52,7 @@ EXPORTED void core_arrays(Step* step, void** at) {
         *at++ = array->data();
     *at++ = io.ends.data();
     *at++ = io.guess.data();
-    for (auto* array : {&io.dtheta, &io.costs, &io.figures, &io.multipliers}) *at++ = array->data();
-    *at++ = io.counts.data();
+    for (auto* array : {&io.dtheta, &io.figures, &io.multipliers}) *at++ = array->data();
     *at++ = io.lists.data();
 }
 

@@ -56,6 +56,20 @@ inline void add(double factor, const double* from, double* to, int n) {
     for (; i < n; i++) to[i] += factor * from[i];
 }
 
+// to += factors[0] * rows[0] + … of k rows, each `stride` after the other and zero where it is not to count; n a multiple of four
+inline void add_rows(const double* factors, const double* rows, int stride, int k, double* to, int n) {
+    int j = 0;
+    for (; j + 4 <= k; j += 4) {
+        const double *a = rows + size_t(j) * stride, *b = a + stride, *c = b + stride, *d = c + stride;
+        const Four e = {factors[j], factors[j], factors[j], factors[j]};
+        const Four f = {factors[j + 1], factors[j + 1], factors[j + 1], factors[j + 1]};
+        const Four g = {factors[j + 2], factors[j + 2], factors[j + 2], factors[j + 2]};
+        const Four h = {factors[j + 3], factors[j + 3], factors[j + 3], factors[j + 3]};
+        for (int i = 0; i < n; i += 4) four(to + i) += (e * four(a + i) + f * four(b + i)) + (g * four(c + i) + h * four(d + i));
+    }
+    for (; j < k; j++) add(factors[j], rows + size_t(j) * stride, to, n);
+}
+
 inline void clear(double* a, size_t n) { std::memset(a, 0, sizeof(double) * n); }
 inline void copy(const double* from, double* to, size_t n) { std::memcpy(to, from, sizeof(double) * n); }
 
@@ -176,9 +190,12 @@ class Reflectors {
     }
     void keep(double tau) { tau_[count++] = tau; }
 
-    // row := row H_0 H_1 ...
-    void apply(double* row) const {
-        for (int h = 0; h < count; h++) one(row, h);
+    // row := row H_0 H_1 ... of each of k rows
+    void apply(double* const* rows, int k) const {
+        for (int h = 0; h < count; h++) {
+            const int from = aligned_start(first_[h]);
+            reflect_all(rows, k, from, memory_ + size_t(h) * stride_ + from, tau_[h], stride_ - from);
+        }
     }
     // row := H_0 H_1 ... row
     void apply_reversed(double* row) const {
@@ -312,13 +329,15 @@ struct Triangle {
     void times(const double* b, double* out) const {
         for (int j = 0; j < size; j++) add(b[j], column(j), out, j + 1);
     }
-    // Columns of R^-1 into rows of `stride`.
+    // Columns of R^-1 into rows of `stride`: of each, minus the columns before it weighed by R's column, over its diagonal.
     void invert(double* inverse) const {
         for (int j = 0; j < size; j++) {
             double* x = inverse + size_t(j) * stride;
             clear(x, stride);
-            x[j] = 1.0;
-            solve_leading(x, j + 1);
+            add_rows(column(j), inverse, stride, j, x, padded(j));
+            const double scale = 1.0 / diagonal(j);
+            for (int i = 0; i < j; i++) x[i] *= -scale;
+            x[j] = scale;
         }
     }
 };

@@ -3,15 +3,17 @@
 from collections.abc import Collection
 from time import perf_counter
 
-from prioritized_ik.problem import IKProblem, trusted
+from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.certificate import Certificate
 from prioritized_ik.solvers.compiled.library import Ending, Question, library
-from prioritized_ik.solvers.compiled.workspace import FIGURES, Sizes, Workspace, workspace_for
+from prioritized_ik.solvers.compiled.workspace import COUNTS, FIGURES, Sizes, Workspace, workspace_for
 from prioritized_ik.solvers.report import DeferredReports
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.tolerances import CERTIFIED, NOISE
 
-_STATUS = {Ending.CLOSED_FORM: StepStatus.CLOSED_FORM, Ending.SOLVED: StepStatus.SOLVED}
+FEW = 64  # counts and lists of most steps, read at once
+
+_STATUS: dict[int, StepStatus] = {Ending.CLOSED_FORM: StepStatus.CLOSED_FORM, Ending.SOLVED: StepStatus.SOLVED}
 
 
 def answers(problem: IKProblem) -> bool:
@@ -51,42 +53,47 @@ def _step(
     problem: IKProblem, flat: IKProblem, workspace: Workspace, rank_tolerance: float, ending: int, started: float
 ) -> JointStep:
     levels = len(problem.levels)
-    figures: list[float] = workspace.figures[: FIGURES * (levels + 1) + 2].tolist()
+    end = FIGURES * (levels + 1)
+    figures: list[float] = workspace.figures[: end + 2 + levels].tolist()
     dtheta = workspace.dtheta.copy()
     if flat is not problem:
         dtheta = problem.from_metric(dtheta)
-    corrections, _, _, active, tight, zero, holding = workspace.counts.tolist()
+    lists: list[int] = workspace.lists[:FEW].tolist()
+    corrections, _, _, active, tight, zero, holding = lists[:COUNTS]
+    active += COUNTS
     tight += active
     zero += tight
-    lists: list[int] = workspace.lists[: zero + 2 * holding].tolist()
+    last = zero + 2 * holding
+    if last > FEW:
+        lists = workspace.lists[:last].tolist()
     names = workspace.names
     held: list[tuple[str, ...]] = [()] * (levels + 1)
-    for place in range(zero, len(lists), 2):
+    for place in range(zero, last, 2):
         held[lists[place]] += (names[lists[place + 1]],)
-    violation = figures[-2]
-    certificate = trusted(
-        Certificate,
+    violation = figures[end]
+    certificate = object.__new__(Certificate)
+    certificate.__dict__.update(
         violation=violation,
-        gaps=tuple(figures[0:-2:FIGURES]),
-        relative_gaps=tuple(figures[1:-2:FIGURES]),
-        stationarity=tuple(figures[2:-2:FIGURES]),
-        rounding=tuple(figures[3:-2:FIGURES]),
+        gaps=tuple(figures[0:end:FIGURES]),
+        relative_gaps=tuple(figures[1:end:FIGURES]),
+        stationarity=tuple(figures[2:end:FIGURES]),
+        rounding=tuple(figures[3:end:FIGURES]),
         held_by=tuple(held),
         tolerance=CERTIFIED,
     )
     return JointStep(
         dtheta,
-        _STATUS[Ending(ending)],
+        _STATUS[ending],
         "",
-        tuple(workspace.costs[:levels].tolist()),
+        tuple(figures[end + 2 :]),
         tuple([names[i] for i in lists[active:tight]]),
         violation,
         Timings(perf_counter() - started, 0.0),
         certificate=certificate,
         repairs=corrections,
         levels=DeferredReports(problem, rank_tolerance, dtheta),
-        zeros=_row_names(problem, lists[tight:zero]),
-        active_rows=tuple([names[i] for i in lists[:active]]),
+        zeros=_row_names(problem, lists[tight:zero]) if zero > tight else (),
+        active_rows=tuple([names[i] for i in lists[COUNTS:active]]),
         path="compiled",
     )
 

@@ -60,11 +60,10 @@ struct Exchange {
     std::vector<int32_t> ends;     // of the levels' rows
     std::vector<uint8_t> guess;    // upper bounds, lower bounds, rows
     // out
-    std::vector<double> dtheta, costs;
-    std::vector<double> figures;      // a level: gap, relative gap, stationarity, rounding; then violation, scale
+    std::vector<double> dtheta;
+    std::vector<double> figures;      // a level: gap, relative gap, stationarity, rounding; then violation, scale, costs
     std::vector<double> multipliers;  // in the order of the list that names them
-    std::vector<int32_t> counts;      // corrections, faces, proofs; then the lengths of the lists
-    // Numbers of the hard rows that the step was computed from, and of those it ends on; of the levels' rows that are rounding;
+    // First counts: corrections, faces, proofs, and the lengths of the lists that follow. Numbers of the hard rows that the step was computed from, and of those it ends on; of the levels' rows that are rounding;
     // of the rows that hold a level, each after its level's number. Upper bounds come first, then lower bounds, then rows.
     std::vector<int32_t> lists;
 };
@@ -80,7 +79,7 @@ class Step {
     Exchange io;
 
     Step(const Sizes& sizes, const Tolerances& tolerances)
-        : stride(padded(sizes.joints)), figure_count(FIGURES * (sizes.levels + 1) + 2), most(sizes), tol_(tolerances),
+        : stride(padded(sizes.joints)), figure_count(FIGURES * (sizes.levels + 1) + 2 + sizes.levels), most(sizes), tol_(tolerances),
           m_(sizes.joints), arena_(arena_size(sizes)) {
         const size_t w = stride, m = sizes.joints, all = 2 * m + sizes.rows;
         io.matrix.resize(sizes.level_rows * w);
@@ -99,11 +98,9 @@ class Step {
         io.ends.resize(sizes.levels);
         io.guess.resize(all);
         io.dtheta.resize(w);
-        io.costs.resize(sizes.levels);
         io.figures.resize(figure_count);
         io.multipliers.resize((sizes.levels + 1) * all);
-        io.counts.resize(COUNTS);
-        io.lists.resize(2 * all + sizes.level_rows + 2 * (sizes.levels + 1) * all);
+        io.lists.resize(COUNTS + 2 * all + sizes.level_rows + 2 * (sizes.levels + 1) * all);
         levels_.resize(sizes.levels + 1);
     }
 
@@ -134,7 +131,7 @@ class Step {
         double* sizes;             // lengths of these columns
         double *reflectors, *taus; // of the rows' coordinates, where there are any
         bool is_cut;               // by more than rounding
-        double strength, inverse_norm, shortest, longest, demand, weakest, settled, blur;
+        double strength, reach, inverse_norm, shortest, longest, demand, weakest, settled, blur;
         double* target() const { return above + size_t(start) * R.stride; }
         int end() const { return start + rank; }
     };
@@ -148,7 +145,7 @@ class Step {
 
     int answer(Question question) {
         arena_.back_to(0);
-        std::fill(io.counts.begin(), io.counts.end(), 0);
+        std::fill_n(io.lists.begin(), int(COUNTS), 0);
         read();
         factor();
         u_ = arena_.zeros(stride);
@@ -157,28 +154,54 @@ class Step {
         slack_ = arena_.doubles(all_);
         active_ = arena_.array<uint8_t>(all_);
         std::memset(active_, 0, all_);
+        broken_ = broken_at_start();
+        bool guessed = false;
+        for (int i = 0; i < all_; i++) guessed = guessed || (io.guess[i] && side_[i] < INFINITE);
+
+        // Rows of the last step come first, as a rule they are right. A step that they hold by a multiplier is not the closed
+        // form's; any other may be, and the closed form has the first word then.
+        closed_form_ = -1.0;
+        if (guessed && question != CLOSED_FORM_ONLY) {
+            start_from_guess();
+            if (search() && (question == FROM_GUESS_ONLY || io.lists[HOLDING])) return SOLVED;
+            std::fill_n(io.lists.begin(), int(ZERO), 0);
+            io.lists[HOLDING] = 0;
+        }
         face(nullptr, 0);
         closed_form_ = norm(u_, m_);
-        likely_ = max(closed_form_, broken_at_start());
         if (question != FROM_GUESS_ONLY) {
             measure();
             if (worst_ >= -tol_.FREE * scale_) {
-                prove(nullptr, 0);
+                if (!prove(nullptr, 0)) throw Declined{UNPROVEN};
                 conclude(nullptr, 0);
                 return CLOSED_FORM;
             }
             if (question == CLOSED_FORM_ONLY) return BINDING;
         }
-        bool guessed = false;
-        for (int i = 0; i < all_; i++) {
-            active_[i] = io.guess[i] && side_[i] < INFINITE;
-            guessed = guessed || active_[i];
-        }
-        if (!(guessed && search())) {
-            std::memset(active_, 0, all_);
-            if (!search()) throw Declined{UNSETTLED};
-        }
+        std::memset(active_, 0, all_);
+        if (!search()) throw Declined{UNSETTLED};
         return SOLVED;
+    }
+
+    void start_from_guess() {
+        for (int i = 0; i < all_; i++) active_[i] = io.guess[i] && side_[i] < INFINITE;
+    }
+
+    // The length of the closed form, worked out when a step is so short that it matters.
+    double closed_form_length() {
+        if (closed_form_ < 0.0) {
+            Scope scope(arena_);
+            double *u = arena_.doubles(stride), *x = arena_.doubles(stride);
+            const bool doubt = doubt_;
+            copy(u_, u, stride);
+            copy(x_, x, stride);
+            face(nullptr, 0);
+            closed_form_ = norm(u_, m_);
+            copy(u, u_, stride);
+            copy(x, x_, stride);
+            doubt_ = doubt;
+        }
+        return closed_form_;
     }
 
     // ------------------------------------------------------------------------------------------------------- the problem
@@ -280,7 +303,7 @@ class Step {
             block.order = arena_.array<int>(n + damped);
             for (int i = first; i < end; i++) {
                 const bool little = is_rounding(lengths[i]);
-                if (little && lengths[i] > 0.0) zero_[io.counts[ZERO]++] = i;
+                if (little && lengths[i] > 0.0) zero_[io.lists[ZERO]++] = i;
                 if (little || io.weights[i] == 0.0) continue;
                 block.row[block.n] = matrix + size_t(i) * stride;
                 block.root[block.n] = sqrt(io.weights[i]);
@@ -339,6 +362,7 @@ class Step {
         lowest_ = max(noise_, tol_.SETTLED_PER_RANK_TOLERANCE * rank_tolerance_);
         double settled = lowest_;
         turned_ = 0.0;
+        longest_ = norm(begin_, m_);
         at = equalities_;
         for (int l = 0; l < now_.levels; l++) {
             Block& block = levels_[l];
@@ -347,6 +371,7 @@ class Step {
             factor_level(block, row + at, rows_ - at, settled);
             settled = block.settled;
             turned_ = max(turned_, block.blur);
+            longest_ += block.inverse_norm * (block.demand + block.reach * longest_);
             c += block.rank;
             at += block.n;
         }
@@ -386,10 +411,10 @@ class Step {
             double* x = inverse + size_t(i) * s;
             const double* own = row[i] + c;
             clear(x, s);
-            for (int j = 0; j < i; j++) add(-own[j], inverse + size_t(j) * s, x, padded(j + 1));
-            x[i] = 1.0;
+            add_rows(own, inverse, s, i, x, padded(i));
             const double scale = 1.0 / own[i];
-            for (int j = 0; j <= i; j++) x[j] *= scale;
+            for (int j = 0; j < i; j++) x[j] *= -scale;
+            x[i] = scale;
             sum += dot(x, x, i + 1);
         }
         return 1.0 / sqrt(sum);
@@ -397,14 +422,9 @@ class Step {
 
     double lower_bound(const Triangle& R) {
         Scope scope(arena_);
-        double *x = arena_.doubles(R.size), sum = 0.0;
-        for (int j = 0; j < R.size; j++) {
-            clear(x, j);
-            x[j] = 1.0;
-            R.solve_leading(x, j + 1);
-            sum += dot(x, x, j + 1);
-        }
-        return 1.0 / sqrt(sum);
+        double* inverse = arena_.doubles(size_t(R.size) * R.stride);
+        R.invert(inverse);
+        return 1.0 / norm(inverse, R.size * R.stride);
     }
 
     void factor_level(Block& block, double** row, int all, double settled) {
@@ -546,6 +566,7 @@ class Step {
             block.shortest = min(block.shortest, block.sizes[j]);
             block.longest = max(block.longest, block.sizes[j]);
         }
+        block.reach = c ? norm(block.above, c * s) : 0.0;
         block.strength = sqrt(strength);
         block.inverse_norm = sqrt(inverse);
         if (!r) block.shortest = 1.0;
@@ -558,7 +579,7 @@ class Step {
         Scope scope(arena_);
         double* turned = arena_.doubles(stride);
         copy(g, turned, stride);
-        chain_.apply(turned);
+        chain_.apply(&turned, 1);
         for (int j = 0; j < m_; j++) out[j] = turned[place_[j]];
         clear(out + m_, stride - m_);
     }
@@ -576,19 +597,32 @@ class Step {
                moves < min(settled * tol_.NEARLY, settled + 2.0 * turned_);
     }
 
-    // A hard row in x, without what is too little of it to count, which is its drift.
-    const double* carried(int i) {
-        double* row = carried_ + size_t(i) * stride;
-        if (is_carried_[i]) return row;
-        is_carried_[i] = 1;
-        if (i < 2 * m_) {
-            Scope scope(arena_);
-            double* unit = arena_.zeros(stride);
-            unit[i < m_ ? i : i - m_] = i < m_ ? 1.0 : -1.0;
-            into(unit, row);
-        } else {
-            into(normal_ + size_t(i - 2 * m_) * stride, row);
+    const double* carried(int i) const { return carried_ + size_t(i) * stride; }
+
+    // Carries hard rows into x, without what is too little of them to count, which is their drift.
+    void carry(const int* ids, int t) {
+        Scope scope(arena_);
+        double** turned = arena_.array<double*>(t);
+        int *fresh = arena_.array<int>(t), n = 0;
+        for (int k = 0; k < t; k++) {
+            const int i = ids[k];
+            if (is_carried_[i]) continue;
+            is_carried_[i] = 1;
+            turned[n] = arena_.zeros(stride);
+            if (i < 2 * m_) turned[n][i < m_ ? i : i - m_] = i < m_ ? 1.0 : -1.0;
+            else copy(normal_ + size_t(i - 2 * m_) * stride, turned[n], stride);
+            fresh[n++] = i;
         }
+        chain_.apply(turned, n);
+        for (int k = 0; k < n; k++) {
+            double* row = carried_ + size_t(fresh[k]) * stride;
+            for (int j = 0; j < m_; j++) row[j] = turned[k][place_[j]];
+            clear(row + m_, stride - m_);
+            split_drift(fresh[k], row);
+        }
+    }
+
+    void split_drift(int i, double* row) {
         double* drift = drift_ + size_t(i) * stride;
         for (int l = 0; l < now_.levels; l++) {
             const int c = levels_[l].end();
@@ -601,18 +635,18 @@ class Step {
             }
             if (may_be_settled(moves, levels_[l].settled)) in_doubt_[i] = 1;
         }
-        return row;
     }
 
     // ------------------------------------------------------------------------------------------------------ a face's step
 
     // x_ and u_ := the strict closed form where the rows `ids` (t) hold. See active_set.face_solution.
     void face(const int* ids, int t) {
-        io.counts[FACES]++;
+        io.lists[FACES]++;
         doubt_ = false;
         Scope scope(arena_);
         double *rows = arena_.doubles(size_t(t) * stride), *sides = arena_.doubles(t);
         bool drifting = false;
+        carry(ids, t);
         for (int i = 0; i < t; i++) {
             copy(carried(ids[i]), rows + size_t(i) * stride, stride);
             sides[i] = side_[ids[i]];
@@ -798,9 +832,10 @@ class Step {
         for (int i = 0; i < all_; i++) worst_ = min(worst_, reach_[i]);
         size_ = norm(u_, m_);
         scale_ = size_;
-        if (size_ > tol_.FLOOR * likely_ && size_ > 0.0) return;
+        if (size_ > tol_.FLOOR * max(closed_form_ < 0.0 ? longest_ : closed_form_, broken_) && size_ > 0.0) return;
+        const double likely = max(closed_form_length(), broken_);
         Scope scope(arena_);
-        double *positive = arena_.doubles(all_), *slack = arena_.doubles(all_), length = likely_;
+        double *positive = arena_.doubles(all_), *slack = arena_.doubles(all_), length = likely;
         int n = 0;
         slacks(start_, slack);
         for (int i = 0; i < all_; i++)
@@ -853,7 +888,7 @@ class Step {
             face(ids, listed(ids));
             measure();
             if (!(size_ < INFINITE)) return false;
-            io.counts[CORRECTIONS] = iteration;
+            io.lists[CORRECTIONS] = iteration;
             if (advance()) {
                 if (is_visited() && !dropped()) return false;
                 continue;
@@ -930,8 +965,9 @@ class Step {
     // Whether u_ is proven optimal from the rows `ids` (t) that it ends on. If not, `wrong_` are the active rows that
     // pull, most first. See certificate.py; rounding explains nothing away here, so that what holds here holds there.
     bool prove(const int* ids, int t) {
-        io.counts[PROOFS]++;
+        io.lists[PROOFS]++;
         Scope scope(arena_);
+        carry(ids, t);
         Multipliers own(*this, ids, t);
         wrong_.clear();
         blur_ = off_ = above_ = 0.0;
@@ -1259,7 +1295,7 @@ class Step {
         figures[1] = scale_;
 
         for (int j = 0; j < m_; j++) io.dtheta[j] = u_[j] / io.metric_root[j];
-        int32_t *list = io.lists.data(), *counts = io.counts.data();
+        int32_t *counts = io.lists.data(), *list = counts + COUNTS;
         for (int i = 0; i < t; i++) *list++ = ids[i];
         counts[ACTIVE] = t;
         for (int i = 0; i < all_; i++) {
@@ -1282,7 +1318,7 @@ class Step {
                 const double off = dot(io.matrix.data() + size_t(i) * stride, io.dtheta.data(), stride) - io.target[i];
                 cost += io.weights[i] * off * off;
             }
-            io.costs[l] = cost;
+            figures[2 + l] = cost;
         }
     }
 
@@ -1310,7 +1346,7 @@ class Step {
     // the step
     double *u_ = nullptr, *x_ = nullptr, *reach_ = nullptr, *slack_ = nullptr, *start_ = nullptr, *multipliers_ = nullptr;
     uint8_t* active_ = nullptr;
-    double closed_form_ = 0.0, likely_ = 0.0, worst_ = 0.0, size_ = 0.0, scale_ = 0.0;
+    double closed_form_ = 0.0, longest_ = 0.0, broken_ = 0.0, worst_ = 0.0, size_ = 0.0, scale_ = 0.0;
     double blur_ = 0.0, off_ = 0.0, above_ = 0.0;
     bool doubt_ = false;
     std::vector<int> wrong_;  // active rows to drop in turn

@@ -4,7 +4,7 @@ import ctypes
 import math
 import threading
 import weakref
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,10 @@ from prioritized_ik.validation import Array
 
 FIGURES = 4  # of a level: gap, relative gap, stationarity, rounding
 COUNTS = 7  # corrections, faces, proofs; the lengths of the lists of active, tight, zero and holding rows
-ARRAYS = 21  # that both sides see
+ARRAYS = 19  # that both sides see
 
 
-@dataclass(frozen=True)
-class Sizes:
+class Sizes(NamedTuple):
     """How much there is of everything, or room for."""
 
     joints: int
@@ -91,11 +90,10 @@ class Workspace:
         self.metric_root, self.reference = _reals(next(at), m), _reals(next(at), m)
         self.settings = _reals(next(at), 2)
         self.ends, self.guess = _integers(next(at), levels), _flags(next(at), every)
-        self.dtheta, self.costs = _reals(next(at), m), _reals(next(at), levels)
-        self.figures = _reals(next(at), FIGURES * (levels + 1) + 2)
+        self.dtheta = _reals(next(at), m)
+        self.figures = _reals(next(at), FIGURES * (levels + 1) + 2 + levels)
         self.multipliers = _reals(next(at), (levels + 1) * every)
-        self.counts = _integers(next(at), COUNTS)
-        self.lists = _integers(next(at), 2 * every + k + 2 * (levels + 1) * every)
+        self.lists = _integers(next(at), COUNTS + 2 * every + k + 2 * (levels + 1) * every)
         self._names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
         self.names: tuple[str, ...] = ()  # of upper bounds, lower bounds and rows, as lists number them
         self.numbers: dict[str, int] = {}
@@ -120,7 +118,8 @@ class Workspace:
             self.equality_target[:n] = problem.equalities.target
         np.sqrt(problem.metric, out=self.metric_root)
         self.reference[:] = problem.reference
-        self.settings[:] = rank_tolerance, problem.noise
+        self.settings[0] = rank_tolerance
+        self.settings[1] = problem.noise
 
     def name(self, problem: IKProblem) -> None:
         """Let `names` and `numbers` be those of a problem."""
