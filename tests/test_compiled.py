@@ -126,6 +126,7 @@ def features() -> dict[str, IKProblem]:
         "metric and frozen joint": IKProblem([a, b, c], frozen, rows, metric=root @ root.T + np.eye(m)),
         "damped and free below": IKProblem([damped["free"], c], bounds),
         "damped and held below": IKProblem([damped["hold"], c], bounds),
+        "repeated equalities": IKProblem([b], bounds, equalities=Equalities(equalities.matrix[[0, 0]], [0.05, 0.05])),
         "no level": IKProblem([], bounds, reference=np.ones(m)),
         "zero weight": IKProblem([Level(c.matrix, c.target, [1.0, 0.0, 2.0, 0.0])], bounds),
         "no wish": IKProblem([Level(a.matrix, np.zeros(2))], bounds),
@@ -146,13 +147,13 @@ class TestFeatures:
         assert set(step.active_rows) <= set(other.active_rows)  # which has the bounds of frozen joints too
         assert [str(report) for report in step.levels] == [str(report) for report in other.levels]
 
-    @pytest.mark.parametrize("name", ["soft level", "noise", "repeated equalities", "conflict"])
+    @pytest.mark.parametrize("name", ["soft level", "noise", "nearly repeated equalities", "conflict"])
     def test_what_the_table_leaves_to_the_python_form_is_answered_there(self, name: str) -> None:
         eye, ask = np.eye(3), Level(np.eye(3)[:2], [1.0, 2.0])
         problem = {
             "soft level": IKProblem([Level(eye, 3.0 * np.ones(3), kind="at_most"), ask]),
             "noise": IKProblem([ask], noise=1e-6),
-            "repeated equalities": IKProblem([ask], equalities=Equalities(eye[[2, 2]], [0.5, 0.5])),
+            "nearly repeated equalities": IKProblem([ask], equalities=Equalities([eye[2], [0.0, 1e-9, 1.0]], [0.5, 0.5])),
             "conflict": IKProblem([ask], rows=Rows([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], [1.0, -2.0])),
         }[name]
         step = joint_step(problem, get_solver("active-set"), SolveOptions())
@@ -160,9 +161,10 @@ class TestFeatures:
         assert step.status is (StepStatus.INFEASIBLE if name == "conflict" else StepStatus.CLOSED_FORM)
 
     def test_rows_of_levels_that_are_rounding_are_named(self) -> None:
-        problem = IKProblem([Level([[1.0, 0.0], [1e-17, 0.0], [0.0, 1e-14]], [1.0, 1.0, 1.0], name="arm")])
+        level = Level([[1.0, 0.0], [1e-17, 0.0], [0.0, 1e-14]], [1.0, 1.0, 1.0], name="arm")
+        problem = IKProblem([level], rows=Rows([[1e-16, 0.0], [1.0, 1.0]], [0.5, 0.5], ["dust", "wall"]))
         step = solve(problem)
-        assert (step.path, step.zeros) == ("compiled", ("arm row 2", "arm row 3"))
+        assert (step.path, step.zeros) == ("compiled", ("arm row 2", "arm row 3", "dust"))
         assert step.zeros == by_python(problem).zeros
 
 

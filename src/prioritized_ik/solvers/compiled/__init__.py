@@ -21,8 +21,8 @@ What runs compiled, and what is left to the Python form:
 | rank tolerance | yes, unless a singular value stands at the cut |
 | start from the last step's rows, or from any solver's guess | yes |
 | levels of soft inequalities (`at_most`, `soften`) | no |
-| rows that are rounding, `noise` above the default | no |
-| equalities that depend on each other | no |
+| `noise` above the default | no |
+| equalities that nearly depend on each other, or are rounding | no |
 | conflicts: which rows contradict each other | no |
 | formulations `damped` and `slack`, `polish=False` | no |
 """

@@ -92,14 +92,14 @@ def _step(
         certificate=certificate,
         repairs=corrections,
         levels=DeferredReports(problem, rank_tolerance, dtheta),
-        zeros=_row_names(problem, lists[tight:zero]) if zero > tight else (),
+        zeros=_row_names(flat, lists[tight:zero]) if zero > tight else (),
         active_rows=tuple([names[i] for i in lists[COUNTS:active]]),
         path="compiled",
     )
 
 
 def _row_names(problem: IKProblem, numbers: list[int]) -> tuple[str, ...]:
-    """Return the names of the levels' rows of these `numbers`, counted through all levels."""
+    """Return the names of rows by `numbers`, counted through all levels and then through the hard rows."""
     names: list[str] = []
     before, rest = 0, iter(numbers)
     number = next(rest, None)
@@ -109,4 +109,7 @@ def _row_names(problem: IKProblem, numbers: list[int]) -> tuple[str, ...]:
             names.append(f"{level.name} row {number - before + 1}")
             number = next(rest, None)
         before = end
+    while number is not None:
+        names.append(problem.rows.names[number - before])
+        number = next(rest, None)
     return tuple(names)

@@ -33,9 +33,9 @@ enum Ending : int {
     CLOSED_FORM,   // no row binds
     SOLVED,        // rows bind
     BINDING,       // the closed form breaks a row, and no more was asked for
-    ROUNDING_ROW,  // declined: a hard row is so short that it is rounding, or any row may be
+    ROUNDING_ROW,  // declined: a row is so short that it may be rounding, or is and cannot be kept
     RANK,          // declined: a level's rank is not clear
-    EQUALITIES,    // declined: equalities depend on each other
+    EQUALITIES,    // declined: equalities nearly depend on each other
     NEARLY_DECIDED,  // declined: the levels above nearly decide a row that binds
     NEARLY_TIGHT,  // declined: a row is nearly tight
     UNSETTLED,     // declined: the active rows do not come to rest
@@ -63,7 +63,7 @@ struct Exchange {
     std::vector<double> dtheta;
     std::vector<double> figures;      // a level: gap, relative gap, stationarity, rounding; then violation, scale, costs
     std::vector<double> multipliers;  // in the order of the list that names them
-    // First counts: corrections, faces, proofs, and the lengths of the lists that follow. Numbers of the hard rows that the step was computed from, and of those it ends on; of the levels' rows that are rounding;
+    // First counts: corrections, faces, proofs, and the lengths of the lists that follow. Numbers of the hard rows that the step was computed from, and of those it ends on; of rows that are rounding, the levels' first;
     // of the rows that hold a level, each after its level's number. Upper bounds come first, then lower bounds, then rows.
     std::vector<int32_t> lists;
 };
@@ -100,7 +100,7 @@ class Step {
         io.dtheta.resize(w);
         io.figures.resize(figure_count);
         io.multipliers.resize((sizes.levels + 1) * all);
-        io.lists.resize(COUNTS + 2 * all + sizes.level_rows + 2 * (sizes.levels + 1) * all);
+        io.lists.resize(COUNTS + 2 * all + sizes.level_rows + sizes.rows + 2 * (sizes.levels + 1) * all);
         levels_.resize(sizes.levels + 1);
     }
 
@@ -245,6 +245,8 @@ class Step {
             return size <= zero;
         };
 
+        zero_ = arena_.array<int>(now_.level_rows + now_.rows);
+
         // Hard rows, of unit length, so that slacks are distances; bounds are in the metric already.
         side_ = arena_.doubles(all_);
         frozen_ = 0;
@@ -263,7 +265,11 @@ class Step {
             if (!(io.row_upper[i] < INFINITE)) continue;
             const double size = hard_lengths[i];
             if (size == 0.0) continue;
-            if (is_rounding(size)) throw Declined{ROUNDING_ROW};
+            if (is_rounding(size)) {
+                if (io.row_upper[i] < 0.0) throw Declined{ROUNDING_ROW};
+                zero_[io.lists[ZERO]++] = now_.level_rows + i;
+                continue;
+            }
             add(1.0 / size, from, to, stride);
             side = io.row_upper[i] / size;
         }
@@ -288,7 +294,6 @@ class Step {
 
         // Levels: the rows that mean something, damping among them.
         rows_ = equalities_;
-        zero_ = arena_.array<int>(now_.level_rows);
         int first = 0;
         for (int l = 0; l < now_.levels; l++) {
             Block& block = levels_[l];
@@ -396,10 +401,11 @@ class Step {
             copy(equal_ + size_t(i) * stride, row[i], stride);
         }
         double left;
-        const int r = row_pivoted_lq(row, ids, n, rows_, 0, m_, stride, chain_, tol_.WEAKEST, left, arena_);
-        if (r < n || !(lower_bound(row, n, 0) > tol_.WEAKEST)) throw Declined{EQUALITIES};
-        for (int i = 0; i < n; i++) begin_[i] = (equal_side_[ids[i]] - dot(row[i], begin_, i)) / row[i][i];
-        return n;
+        // Those that say what others say are kept with them, or else the certificate sees it.
+        const int r = row_pivoted_lq(row, ids, n, rows_, 0, m_, stride, chain_, tol_.EMPTY, left, arena_);
+        if (!(lower_bound(row, r, 0) > tol_.WEAKEST)) throw Declined{EQUALITIES};
+        for (int i = 0; i < r; i++) begin_[i] = (equal_side_[ids[i]] - dot(row[i], begin_, i)) / row[i][i];
+        return r;
     }
 
     // A lower bound of the smallest singular value of the leading r x r triangle of rows from column c on.
@@ -1303,6 +1309,7 @@ class Step {
             const bool frozen = i < 2 * m_ && frozen_ && io.lower[joint] == io.upper[joint];
             if (frozen || reach_[i] <= tol_.ACCEPTED_VIOLATION * scale_) *list++ = i, counts[TIGHT]++;
         }
+        std::sort(zero_, zero_ + counts[ZERO]);
         for (int i = 0; i < counts[ZERO]; i++) *list++ = zero_[i];
         for (int l = 0; l <= levels; l++)
             for (int i = 0; i < t; i++)

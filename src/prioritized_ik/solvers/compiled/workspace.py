@@ -93,7 +93,7 @@ class Workspace:
         self.dtheta = _reals(next(at), m)
         self.figures = _reals(next(at), FIGURES * (levels + 1) + 2 + levels)
         self.multipliers = _reals(next(at), (levels + 1) * every)
-        self.lists = _integers(next(at), COUNTS + 2 * every + k + 2 * (levels + 1) * every)
+        self.lists = _integers(next(at), COUNTS + 2 * every + k + r + 2 * (levels + 1) * every)
         self._names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
         self.names: tuple[str, ...] = ()  # of upper bounds, lower bounds and rows, as lists number them
         self.numbers: dict[str, int] = {}
