@@ -7,7 +7,7 @@ level) goes to the active-set kernel, which makes it the optimum and proves it.
 
 import importlib.metadata
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import cast
@@ -88,13 +88,13 @@ class ActiveSet:
 
     Attributes:
         name: "active-set".
-        last: names of the rows that the last step rested on, those with a multiplier or not.
+        last: the rows that the last step rested on, with a multiplier or not, or their names.
     """
 
     name = "active-set"
 
     def __init__(self) -> None:
-        self.last: frozenset[str] = frozenset()
+        self.last: Collection[str] | fast.Remembered = ()
 
     @property
     def version(self) -> str:
@@ -103,11 +103,12 @@ class ActiveSet:
 
     def guess(self, hierarchy: Hierarchy) -> Active:
         """Return the rows `(r,)` that the last step rested on."""
-        return np.array([name in self.last for name in hierarchy.rows.names], dtype=bool)
+        last = frozenset(self.last.named() if isinstance(self.last, fast.Remembered) else self.last)
+        return np.array([name in last for name in hierarchy.rows.names], dtype=bool)
 
-    def remember(self, names: Iterable[str]) -> None:
-        """Keep the names of the rows that a step rests on for the next."""
-        self.last = frozenset(names)
+    def remember(self, rows: Collection[str] | fast.Remembered) -> None:
+        """Keep the rows that a step rests on, or their names, for the next."""
+        self.last = rows
 
 
 Solver = AnyBackend | ActiveSet
@@ -228,7 +229,7 @@ def _compiled_step(problem: IKProblem, solver: Solver, options: SolveOptions) ->
         question = Question.STEP if options.closed_form_first else Question.FROM_GUESS_ONLY
         step = fast.compiled_step(problem, options.rank_tolerance, solver.last, question)
         if step is not None and step.status is not StepStatus.CLOSED_FORM:
-            solver.remember(step.active_rows)
+            solver.remember(step.written.active())
         return step
     if not options.closed_form_first:
         return None

@@ -1,15 +1,17 @@
 """From a problem to the joint step of the compiled core, or to None where it declines."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from time import perf_counter
+from typing import Any, NamedTuple
 
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.certificate import Certificate
 from prioritized_ik.solvers.compiled.library import Ending, Question, library
-from prioritized_ik.solvers.compiled.workspace import COUNTS, FIGURES, Sizes, Workspace, workspace_for
+from prioritized_ik.solvers.compiled.workspace import ACTIVE, COUNTS, FIGURES, HOLDING, Sizes, Workspace, workspace_for
 from prioritized_ik.solvers.report import DeferredReports
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
-from prioritized_ik.tolerances import CERTIFIED, NOISE
+from prioritized_ik.tolerances import NOISE
+from prioritized_ik.validation import Array
 
 FEW = 64  # counts and lists of most steps, read at once
 
@@ -23,15 +25,75 @@ def answers(problem: IKProblem) -> bool:
     return all([level.kind == "equal" for level in problem.levels])
 
 
+class Remembered(NamedTuple):
+    """Rows by their numbers among `names`."""
+
+    names: tuple[str, ...]
+    numbers: list[int]
+
+    def named(self) -> tuple[str, ...]:
+        """Return the names of the rows."""
+        return tuple([self.names[number] for number in self.numbers])
+
+
+class _Late:
+    """A field of a `CompiledStep` that is put together with the others when the first is looked at."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, step: "CompiledStep | None", owner: type) -> Any:
+        if step is None:
+            return self
+        step.__dict__.update(_fields(step.written))
+        return step.__dict__[self._name]
+
+
+class CompiledStep(JointStep):
+    """A step of the core: what a control loop needs is there, names and figures are put together when looked at.
+
+    Attributes:
+        written: what the core wrote of it.
+    """
+
+    costs: Any = _Late()
+    tight_rows: Any = _Late()
+    violation: Any = _Late()
+    certificate: Any = _Late()
+    repairs: Any = _Late()
+    levels: Any = _Late()
+    zeros: Any = _Late()
+    active_rows: Any = _Late()
+    written: "Written"
+
+
+class Written(NamedTuple):
+    """What the core wrote of a step, see `Exchange` in step.hpp, and the names that it refers to."""
+
+    problem: IKProblem
+    rank_tolerance: float
+    dtheta: Array
+    figures: Array
+    lists: list[int]
+    names: tuple[str, ...]
+
+    def active(self) -> Remembered:
+        """Return the rows that the step was computed from."""
+        return Remembered(self.names, self.lists[COUNTS : COUNTS + self.lists[ACTIVE]])
+
+
 def compiled_step(
-    problem: IKProblem, rank_tolerance: float, rows: Collection[str] = (), question: Question = Question.STEP
-) -> JointStep | None:
+    problem: IKProblem,
+    rank_tolerance: float,
+    rows: Collection[str] | Remembered = (),
+    question: Question = Question.STEP,
+) -> CompiledStep | None:
     """Return the certified step of a problem that the core `answers`, None if it declines.
 
     Args:
         problem: damped levels are taken as their rows.
         rank_tolerance: see `SolveOptions`.
-        rows: names of those that the step may rest on, such as the last step's.
+        rows: those that the step may rest on, such as the last step's, or their names.
         question: the step; only a closed form that breaks no row; or no closed form first.
     """
     started = perf_counter()
@@ -41,65 +103,74 @@ def compiled_step(
     workspace.fill(flat, sizes, rank_tolerance)
     workspace.name(flat)
     workspace.guess[:] = False
-    for name in rows:
-        number = workspace.numbers.get(name)
-        if number is not None:
-            workspace.guess[number] = True
-    ending = workspace.solve(sizes, question)
-    return _step(problem, flat, workspace, rank_tolerance, ending, started) if ending in _STATUS else None
-
-
-def _step(
-    problem: IKProblem, flat: IKProblem, workspace: Workspace, rank_tolerance: float, ending: int, started: float
-) -> JointStep:
-    levels = len(problem.levels)
-    end = FIGURES * (levels + 1)
-    figures: list[float] = workspace.figures[: end + 2 + levels].tolist()
+    for number in _numbers(rows, workspace):
+        workspace.guess[number] = True
+    status = _STATUS.get(workspace.solve(sizes, question))
+    if status is None:
+        return None
+    lists: list[int] = workspace.lists[:FEW].tolist()
+    last = COUNTS + sum(lists[ACTIVE:HOLDING]) + 2 * lists[HOLDING]
+    if last > FEW:
+        lists = workspace.lists[:last].tolist()
     dtheta = workspace.dtheta.copy()
     if flat is not problem:
         dtheta = problem.from_metric(dtheta)
-    lists: list[int] = workspace.lists[:FEW].tolist()
+    figures = workspace.figures[: FIGURES * (sizes.levels + 1) + 2 + sizes.levels].copy()
+    step = object.__new__(CompiledStep)
+    step.__dict__.update(
+        dtheta=dtheta,
+        status=status,
+        path="compiled",
+        timings=Timings(perf_counter() - started, 0.0),
+        written=Written(problem, rank_tolerance, dtheta, figures, lists, workspace.names),
+    )
+    return step
+
+
+def _numbers(rows: Collection[str] | Remembered, workspace: Workspace) -> Iterable[int]:
+    """Return the numbers of rows in this problem, those that it does not have left out."""
+    if isinstance(rows, Remembered):
+        if rows.names is workspace.names:
+            return rows.numbers
+        rows = rows.named()
+    known = workspace.numbers
+    return [known[name] for name in rows if name in known]
+
+
+def _fields(written: Written) -> dict[str, Any]:
+    """Return the fields of a step that are put together late."""
+    problem, rank_tolerance, dtheta, values, lists, names = written
+    levels = len(problem.levels)
+    end, figures = FIGURES * (levels + 1), values.tolist()
     corrections, _, _, active, tight, zero, holding = lists[:COUNTS]
     active += COUNTS
     tight += active
     zero += tight
-    last = zero + 2 * holding
-    if last > FEW:
-        lists = workspace.lists[:last].tolist()
-    names = workspace.names
     held: list[tuple[str, ...]] = [()] * (levels + 1)
-    for place in range(zero, last, 2):
+    for place in range(zero, zero + 2 * holding, 2):
         held[lists[place]] += (names[lists[place + 1]],)
-    violation = figures[end]
-    certificate = object.__new__(Certificate)
-    certificate.__dict__.update(
-        violation=violation,
-        gaps=tuple(figures[0:end:FIGURES]),
-        relative_gaps=tuple(figures[1:end:FIGURES]),
-        stationarity=tuple(figures[2:end:FIGURES]),
-        rounding=tuple(figures[3:end:FIGURES]),
-        held_by=tuple(held),
-        tolerance=CERTIFIED,
+    certificate = Certificate(
+        figures[end],
+        tuple(figures[0:end:FIGURES]),
+        tuple(figures[1:end:FIGURES]),
+        tuple(figures[2:end:FIGURES]),
+        tuple(figures[3:end:FIGURES]),
+        tuple(held),
     )
-    return JointStep(
-        dtheta,
-        _STATUS[ending],
-        "",
-        tuple(figures[end + 2 :]),
-        tuple([names[i] for i in lists[active:tight]]),
-        violation,
-        Timings(perf_counter() - started, 0.0),
-        certificate=certificate,
-        repairs=corrections,
-        levels=DeferredReports(problem, rank_tolerance, dtheta),
-        zeros=_row_names(flat, lists[tight:zero]) if zero > tight else (),
-        active_rows=tuple([names[i] for i in lists[COUNTS:active]]),
-        path="compiled",
-    )
+    return {
+        "costs": tuple(figures[end + 2 :]),
+        "tight_rows": tuple([names[i] for i in lists[active:tight]]),
+        "violation": figures[end],
+        "certificate": certificate,
+        "repairs": corrections,
+        "levels": DeferredReports(problem, rank_tolerance, dtheta),
+        "zeros": _row_names(problem, lists[tight:zero], names[2 * problem.joint_count :]) if zero > tight else (),
+        "active_rows": tuple([names[i] for i in lists[COUNTS:active]]),
+    }
 
 
-def _row_names(problem: IKProblem, numbers: list[int]) -> tuple[str, ...]:
-    """Return the names of rows by `numbers`, counted through all levels and then through the hard rows."""
+def _row_names(problem: IKProblem, numbers: list[int], hard: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of rows by `numbers`, counted through all levels and then through the `hard` rows."""
     names: list[str] = []
     before, rest = 0, iter(numbers)
     number = next(rest, None)
@@ -110,6 +181,6 @@ def _row_names(problem: IKProblem, numbers: list[int]) -> tuple[str, ...]:
             number = next(rest, None)
         before = end
     while number is not None:
-        names.append(problem.rows.names[number - before])
+        names.append(hard[number - before])
         number = next(rest, None)
     return tuple(names)

@@ -15,6 +15,7 @@ from prioritized_ik.validation import Array
 
 FIGURES = 4  # of a level: gap, relative gap, stationarity, rounding
 COUNTS = 7  # corrections, faces, proofs; the lengths of the lists of active, tight, zero and holding rows
+ACTIVE, HOLDING = 3, 6  # their places; those between are of the tight rows and of those that are rounding
 ARRAYS = 19  # that both sides see
 
 
