@@ -21,7 +21,7 @@ except ImportError:  # run by hand, where nothing is packed
     BuildHookInterface = object  # type: ignore[assignment,misc]
 
 CORE = Path("src", "prioritized_ik", "solvers", "compiled")
-FLAGS = ("-O3", "-std=c++17", "-shared", "-fPIC", "-fvisibility=hidden", "-Wno-psabi")
+FLAGS = ("-O3", "-std=c++17", "-shared", "-fPIC", "-fvisibility=hidden", "-Wno-psabi", "-s")
 
 #: What is compiled, by the processor it runs on; `library.py` asks the first which of the others do.
 BASELINE = "baseline"

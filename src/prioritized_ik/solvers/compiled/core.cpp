@@ -1,6 +1,10 @@
 // The C interface of the compiled step, as library.py loads it.
 #include <new>
 
+#if defined(__x86_64__)
+#include <cpuid.h>
+#endif
+
 #include "step.hpp"
 
 #ifndef PRIORITIZED_IK_SOURCE
@@ -21,10 +25,17 @@ EXPORTED const char* core_tolerances() {
 #undef FIELD
 }
 
-// Whether this processor runs what is compiled for x86-64-v3.
+// Whether this processor, and its system, run what is compiled for x86-64-v3. Asked of the processor itself: not every
+// compiler's runtime answers __builtin_cpu_supports from a shared library.
 EXPORTED int core_has_v3() {
 #if defined(__x86_64__)
-    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
+    unsigned a, b, c, d, low, high;
+    if (!__get_cpuid(1, &a, &b, &c, &d)) return 0;
+    const bool fma = c >> 12 & 1, saves = c >> 27 & 1, avx = c >> 28 & 1;
+    if (!fma || !saves || !avx || !__get_cpuid_count(7, 0, &a, &b, &c, &d)) return 0;
+    const bool bmi = b >> 3 & 1, avx2 = b >> 5 & 1, bmi2 = b >> 8 & 1;
+    __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
+    return bmi && avx2 && bmi2 && (low & 6) == 6;
 #else
     return 0;
 #endif
