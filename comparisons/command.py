@@ -25,6 +25,7 @@ def solvers() -> None:
 
     from prioritized_ik.solvers.backends.abilities import abilities_of
     from prioritized_ik.solvers.backends.registry import get_backend, installed_solvers, known_solvers
+    from prioritized_ik.solvers.compiled.library import library
 
     columns = ("native", "semidefinite", "sparse", "warm start", "refinement", "how to get it")
     table = Table("solver", "version", *columns, box=None)
@@ -39,7 +40,10 @@ def solvers() -> None:
         how = f"pip install {abilities.package}" if name not in installed else "installed"
         how += ", runs when named" if abilities.on_request else ""
         table.add_row(name, version, *flags, ", ".join(refinement) or "–", how)
-    Console(width=None if os.isatty(1) else FILE_WIDTH).print(table)
+    console = Console(width=None if os.isatty(1) else FILE_WIDTH)
+    console.print(table)
+    core = library()
+    console.print(f"active-set runs {'compiled' if core.core is not None else 'in Python'}: {core.note}", highlight=False)
 
 
 @click.command()
