@@ -26,9 +26,12 @@ def solvers() -> None:
     from rich.console import Console
 
     import comparisons.methods  # noqa: F401  its families are listed too
+    from prioritized_ik.solvers.compiled.library import library
 
     console = Console(width=None if os.isatty(1) else FILE_WIDTH)
     console.print(_table_of_methods())
+    core = library()
+    console.print(f"\nThe kernel runs {'compiled' if core.core is not None else 'in Python'}: {core.note}", highlight=False)
     console.print("\nSOLVER by itself is lexicographic:SOLVER. The QP solvers:\n", highlight=False)
     console.print(_table_of_solvers())
 

@@ -7,6 +7,7 @@ are zero.
 
     python tests/campaign.py --count 100 --kinds sliver,wedge --solver daqp --first-seed 0
 
+With --path one form of the solve answers alone: the Python form, or the compiled core, which declines what is not clear.
 With --feign no solver is asked: the certificate is, about steps that are feasible and wrong.
 """
 
@@ -23,8 +24,10 @@ from typing import Any
 
 import exact
 import numpy as np
+import paths
 
 import prioritized_ik as pik
+from prioritized_ik.solvers.compiled import fast
 
 Array = np.ndarray
 
@@ -45,7 +48,8 @@ UNCERTIFIED = "uncertified"
 NO_STEP = "no step"
 CALLED_INFEASIBLE = "called infeasible"
 MISSED = "infeasible missed"
-VERDICTS = (RIGHT, LOOSE, WRONG, UNCERTIFIED, NO_STEP, CALLED_INFEASIBLE, MISSED)
+DECLINED = "declined"  # by the compiled core, where it alone is asked
+VERDICTS = (RIGHT, LOOSE, WRONG, UNCERTIFIED, NO_STEP, CALLED_INFEASIBLE, MISSED, DECLINED)
 FATAL = (WRONG, CALLED_INFEASIBLE)
 
 
@@ -772,6 +776,20 @@ def judge(case: Case, solver: str = "daqp") -> Verdict:
     return judge_step(case, step.dtheta, certificate)
 
 
+def judge_compiled(case: Case) -> Verdict:
+    """Return what the compiled core alone makes of a case."""
+    step = None
+    if fast.answers(case.problem) and not any(level.damping for level in case.problem.levels):
+        step = fast.compiled_step(case.problem, 0.0)
+    return Verdict(DECLINED) if step is None else judge_step(case, step.dtheta, step.certificate)
+
+
+def judge_python(case: Case, solver: str = "daqp") -> Verdict:
+    """Return what the Python form makes of a case."""
+    with paths.only("python"):
+        return judge(case, solver)
+
+
 def judge_step(case: Case, dtheta: Array, certificate: Any) -> Verdict:
     """Return what a step is worth beside what its certificate says of it."""
     best = case.optimum
@@ -927,13 +945,15 @@ def main() -> int:
     parser.add_argument("--solver", default="daqp")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--reasons", action="store_true", help="print the first reason of each verdict")
+    parser.add_argument("--path", choices=("compiled", "python"), help="ask one form of the solve only")
     parser.add_argument("--feign", action="store_true", help="ask the certificate about wrong steps instead")
     given = parser.parse_args()
     unknown = set(given.kinds.split(",")) - set(KINDS)
     if unknown:
         parser.error(f"unknown kinds {sorted(unknown)}; there are {', '.join(KINDS)}")
     seeds = range(given.first_seed, given.first_seed + given.count)
-    ask = judge_feigned if given.feign else partial(judge, solver=given.solver)
+    asked = {None: partial(judge, solver=given.solver), "python": partial(judge_python, solver=given.solver)}
+    ask = judge_feigned if given.feign else asked.get(given.path, judge_compiled)
     tallies = campaign(given.kinds.split(","), seeds, ask)
     print(table(tallies, given.reasons))
     total = sum((tally.counts for tally in tallies.values()), Counter())

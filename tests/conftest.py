@@ -3,6 +3,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+import paths
 import pytest
 from tolerances import WELL_CONDITIONED
 
@@ -70,3 +71,10 @@ def relative_error(found: np.ndarray, truth: np.ndarray) -> float:
 def paper_arm() -> Bench:
     """The 17-link arm of Fig. 5."""
     return Bench.of(Arm())
+
+
+@pytest.fixture
+def python_path() -> Iterator[None]:
+    """Only the Python form of the solve answers: what is tested is its bits, or its own parts."""
+    with paths.only("python"):
+        yield

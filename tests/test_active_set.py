@@ -226,6 +226,7 @@ def test_whatever_the_start_the_method_ends_at_the_optimum_or_hands_it_back(seed
         assert bits(found.u) == bits(wanted if holds(found) else start)
 
 
+@pytest.mark.usefixtures("python_path")
 def test_recorded_steps_are_found_again_to_the_same_bits_from_answers_off_by_a_millionth():
     for problem in (*free_steps(), *constrained_steps()):
         hierarchy = Hierarchy(problem, RANK_TOLERANCE)

@@ -16,6 +16,7 @@ from comparisons.settings import ComparisonSettings
 from comparisons.store import PARTS, TABLES, Store
 from prioritized_ik.cli import main
 from prioritized_ik.errors import InputError
+from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.winding.episode import Episode
 
 ROW = (
@@ -46,6 +47,7 @@ def test_solvers_lists_what_is_installed_and_how_to_install_the_rest() -> None:
     assert result.exit_code == 0
     assert "proxqp" in result.output
     assert "pip install" in result.output
+    assert f"active-set runs {'compiled' if library().core is not None else 'in Python'}" in result.output
 
 
 def test_wind_saves_an_episode_that_loads(tmp_path: Path) -> None:

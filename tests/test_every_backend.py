@@ -85,9 +85,10 @@ def test_the_free_step_is_the_same_to_the_last_bit(name):
         assert step.certificate == wanted.certificate
 
 
+@pytest.mark.usefixtures("python_path")
 def test_the_free_step_is_the_closed_form_and_to_the_last_bit_where_it_ends_on_no_row():
     same = 0
-    for problem, step in zip(free_steps(), free("daqp"), strict=True):
+    for problem, step in zip(free_steps(), steps_of("daqp", free_steps()), strict=True):
         wanted = strict_solution(problem.levels, problem.reference)
         assert np.linalg.norm(step.dtheta - wanted) <= ROUNDING * np.linalg.norm(wanted)
         if not step.tight_rows:  # a row that it ends on, though it holds nothing back, is solved for

@@ -20,7 +20,7 @@ LAYERS = [
     {"models", "jacobians"},
     {"virtual_arms"},
     {"touch", "problem", "weights"},
-    {"limits"},
+    {"limits", "live"},
     {"solvers"},
     {"winding", "mink"},
     {"cli", "comparisons", "paper_repro"},

@@ -150,6 +150,7 @@ def test_the_reference_stops_at_a_bound():
     assert step.tight_rows == ("joint 2 upper",)
 
 
+@pytest.mark.usefixtures("python_path")
 def test_a_closed_form_that_meets_every_row_is_the_answer_bit_for_bit():
     for problem in free_steps():
         step = solve(problem, options=CUT_AS_RECORDED)
@@ -307,6 +308,7 @@ def test_a_step_that_cannot_be_mended_is_found_from_nothing(fake, monkeypatch):
     assert step.calls == 1
 
 
+@pytest.mark.usefixtures("python_path")
 def test_a_step_that_cannot_be_mended_at_all_is_handed_out_as_uncertified(fake, monkeypatch):
     monkeypatch.setattr("prioritized_ik.solvers.active_set.ITERATIONS", 1)
     monkeypatch.setattr("prioritized_ik.solvers.lexicographic.stagewise", lambda *given: (np.full(2, 0.2), NONE))
@@ -420,6 +422,7 @@ def test_the_closed_form_is_an_answer_only_if_it_keeps_the_soft_rows_too():
     assert held.dtheta == pytest.approx([1.0, 1.0], abs=ROUNDING)
 
 
+@pytest.mark.usefixtures("python_path")
 @pytest.mark.parametrize("seed", range(10))
 def test_a_certificate_is_that_of_the_step_alone(seed):
     known = random_hierarchy(seed)

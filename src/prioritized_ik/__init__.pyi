@@ -13,6 +13,7 @@ from .problem import Equalities as Equalities
 from .problem import IKProblem as IKProblem
 from .problem import Level as Level
 from .problem import Rows as Rows
+from .live import LiveProblem as LiveProblem
 from .touch import TouchSensor as TouchSensor
 from .limits import contact_rows as contact_rows
 from .limits import joint_metric as joint_metric
@@ -27,6 +28,7 @@ from .solvers.registry import get_method as get_method
 from .solvers.registry import installed_methods as installed_methods
 from .solvers.registry import known_methods as known_methods
 from .solvers.registry import register as register
+from .solvers.batch import solve_many as solve_many
 from .solvers.step import JointStep as JointStep
 from .solvers.step import StepStatus as StepStatus
 from .solvers.certificate import Certificate as Certificate

@@ -564,8 +564,7 @@ def _kept(names: tuple[str, ...], kept: NDArray[np.bool_]) -> tuple[str, ...]:
 
 def _set(record: object, **values: object) -> None:
     """Fill the fields of a frozen record."""
-    for name, value in values.items():
-        object.__setattr__(record, name, value)
+    record.__dict__.update(values)
 
 
 def _names(what: str, given: Sequence[str], word: str, count: int) -> tuple[str, ...]:

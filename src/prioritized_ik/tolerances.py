@@ -131,3 +131,20 @@ NARROW = 1e-5
 
 #: [of the sides] Rows that a step keeps to within this are kept together.
 FEASIBLE = 1e-9
+
+# --- The compiled core ----------------------------------------------------------------------------------------------------
+
+#: [–] What must hold in the compiled core must hold with this fraction of its tolerance; otherwise the Python form answers.
+MARGIN = 0.1
+
+#: [–] A direction weaker than this, in rows of unit length, is one that the Python form looks at closer.
+WEAKEST = 1e-6
+
+#: [–] A row within this factor of what settles it may be one or none; rounding changes it by less.
+NEARLY = 4.0
+
+#: [of the cut] A singular value nearer than this to the rank tolerance may be on either side of it.
+CUT_MARGIN = 1e-6
+
+#: [–] What is left of the rows of a level, as a fraction of the longest, when nothing but rounding is.
+EMPTY = 1e-14

@@ -6,7 +6,7 @@ level) goes to the active-set kernel, which makes it the optimum and proves it.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,6 +18,8 @@ from prioritized_ik.solvers.active_set import Active, Solution
 from prioritized_ik.solvers.backends.protocol import Backend, StageResult
 from prioritized_ik.solvers.backends.registry import ACCURACY
 from prioritized_ik.solvers.certificate import Proof
+from prioritized_ik.solvers.compiled import fast
+from prioritized_ik.solvers.compiled.library import Question
 from prioritized_ik.solvers.conflict import find_conflict
 from prioritized_ik.solvers.damping import handed_down
 from prioritized_ik.solvers.hierarchy import Hierarchy
@@ -61,18 +63,23 @@ class SolveOptions:
 
 
 class RowMemory:
-    """The rows that the last step rested on, by name: where the kernel starts from by itself."""
+    """The rows that the last step rested on, with a multiplier or not: where the kernel starts from by itself.
+
+    Attributes:
+        last: the rows, or their names.
+    """
 
     def __init__(self) -> None:
-        self._last: frozenset[str] = frozenset()
+        self.last: Collection[str] | fast.Remembered = ()
 
     def guess(self, hierarchy: Hierarchy) -> Active:
         """Return the rows `(r,)` that the last step rested on."""
-        return np.array([name in self._last for name in hierarchy.rows.names], dtype=bool)
+        last = frozenset(self.last.named() if isinstance(self.last, fast.Remembered) else self.last)
+        return np.array([name in last for name in hierarchy.rows.names], dtype=bool)
 
-    def remember(self, hierarchy: Hierarchy, active: Active) -> None:
-        """Keep the rows that a step rests on for the next."""
-        self._last = frozenset(hierarchy.rows.names[i] for i in np.flatnonzero(active))
+    def remember(self, rows: Collection[str] | fast.Remembered) -> None:
+        """Keep the rows that a step rests on, or their names, for the next."""
+        self.last = rows
 
 
 class Clock:
@@ -114,9 +121,9 @@ def joint_step(problem: IKProblem, start: Start, options: SolveOptions, method: 
     """
     if options.soften:
         problem, options = problem.softened(options.soften), replace(options, soften=())
-    if any(level.damping and level.below == "free" for level in problem.levels):
-        return replace(_damped_step(problem, start, options), method=method)
-    return replace(_undamped_step(problem, start, options), method=method)
+    if any([level.damping and level.below == "free" for level in problem.levels]):
+        return _damped_step(problem, start, options).made_by(method)
+    return _undamped_step(problem, start, options).made_by(method)
 
 
 def _damped_step(problem: IKProblem, start: Start, options: SolveOptions) -> JointStep:
@@ -135,6 +142,9 @@ def _damped_step(problem: IKProblem, start: Start, options: SolveOptions) -> Joi
 def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions) -> JointStep:
     """Return the outcome of one solve of a problem whose damping, if any, is rows."""
     clock = Clock()
+    compiled = options.polish and fast.answers(problem)
+    if compiled and (quick := _compiled_step(problem, start, options)) is not None:
+        return quick
     hierarchy = Hierarchy(problem, options.rank_tolerance)
     solution: Solution | None = None
     if hierarchy.impossible:
@@ -152,6 +162,10 @@ def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions) -> J
     else:
         answer = start(problem, hierarchy, clock)
         timings = clock.timings()
+        if compiled and not isinstance(answer, str) and (exact := _from_answer(hierarchy, answer, problem, options)):
+            spent = clock.timings()
+            timings = Timings(timings.build, spent.solve, spent.build - timings.build)
+            return replace(exact, timings=timings, calls=clock.calls, raw=problem.from_metric(answer))
     step = _finished(problem, hierarchy, answer, options, solution)
     spent = clock.timings()
     return replace(
@@ -159,6 +173,26 @@ def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions) -> J
         timings=Timings(timings.build, spent.solve, spent.build - timings.build),
         calls=clock.calls,
     )
+
+
+def _compiled_step(problem: IKProblem, start: Start, options: SolveOptions) -> JointStep | None:
+    """Return the compiled core's step, or None: from the last rows, or the closed form if it is it."""
+    if isinstance(start, RowMemory):
+        question = Question.STEP if options.closed_form_first else Question.FROM_GUESS_ONLY
+        step = fast.compiled_step(problem, options.rank_tolerance, start.last, question)
+        if step is not None and step.status is not StepStatus.CLOSED_FORM:
+            start.remember(step.written.active())
+        return step
+    if not options.closed_form_first:
+        return None
+    return fast.compiled_step(problem, options.rank_tolerance, question=Question.CLOSED_FORM_ONLY)
+
+
+def _from_answer(hierarchy: Hierarchy, answer: Array, problem: IKProblem, options: SolveOptions) -> JointStep | None:
+    """Return the step of the compiled core from a QP solver's answer `(m,)`, in the joint metric, or None."""
+    guess = active_set.guessed(hierarchy, answer)
+    names = _named(hierarchy, guess)
+    return fast.compiled_step(problem, options.rank_tolerance, names, Question.FROM_GUESS_ONLY)
 
 
 def first_stage(problem: IKProblem, options: SolveOptions | None = None) -> Stage:
@@ -180,11 +214,15 @@ def _by_active_set(hierarchy: Hierarchy, memory: RowMemory) -> Solution:
     if guess.any():
         solution = active_set.solve(hierarchy, guess, hierarchy.start)
         if solution.converged:
-            memory.remember(hierarchy, solution.active)
+            memory.remember(_named(hierarchy, solution.active))
             return solution
     solution = _from_nothing(hierarchy)
-    memory.remember(hierarchy, solution.active)
+    memory.remember(_named(hierarchy, solution.active))
     return solution
+
+
+def _named(hierarchy: Hierarchy, active: Active) -> tuple[str, ...]:
+    return tuple(hierarchy.rows.names[i] for i in np.flatnonzero(active))
 
 
 def _from_nothing(hierarchy: Hierarchy) -> Solution:
@@ -268,4 +306,5 @@ def _step(
         certificate=certificate,
         levels=level_reports(hierarchy, u),
         zeros=hierarchy.zeros,
+        active_rows=() if free else _named(hierarchy, proof.ends_on),
     )

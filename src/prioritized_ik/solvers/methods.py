@@ -16,6 +16,7 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.protocol import Backend
+from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.lexicographic import Clock, RowMemory, SolveOptions, fold, joint_step
 from prioritized_ik.solvers.stages import Stage, damped_stage, slack_stage
@@ -47,11 +48,14 @@ class Method(ABC):
 
     Attributes:
         name: what the registry calls it.
-        path: `"compiled"` or `"python"`: what the step is computed by.
     """
 
     name: str
-    path: str = "python"
+
+    @property
+    def path(self) -> str:
+        """What its steps are computed by."""
+        return "python"
 
     @property
     @abstractmethod
@@ -84,10 +88,20 @@ class _Own(Method):
             return "unknown"
 
 
+def _kernel_path() -> str:
+    """What the kernel runs on here, where the compiled core does not decline."""
+    return "compiled" if library().core is not None else "python"
+
+
 class ActiveSet(_Own):
     """The kernel by itself: it starts from the rows of its last step, and calls no QP solver."""
 
     name = "active-set"
+
+    @property
+    def path(self) -> str:
+        """See `Method.path`."""
+        return _kernel_path()
 
     def __init__(self) -> None:
         self._memory = RowMemory()
@@ -114,6 +128,11 @@ class ClosedForm(_Own):
 
 class Guessing(Method):
     """A method that makes a guess of a hierarchy's optimum; the kernel makes it the optimum and proves it."""
+
+    @property
+    def path(self) -> str:
+        """See `Method.path`; of the kernel."""
+        return _kernel_path()
 
     def step(self, problem: IKProblem, options: SolveOptions | None = None, place: Place | None = None) -> JointStep:
         """See `Method.step`."""

@@ -1,9 +1,13 @@
 """What became of each level's rank: nothing that was asked for is dropped in silence."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import overload
 
 import numpy as np
 
+from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.hierarchy import EqualBlock, Hierarchy
 from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array
@@ -46,6 +50,36 @@ def level_reports(hierarchy: Hierarchy, u: Array) -> tuple[LevelReport, ...]:
         for level, block in zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)
         if isinstance(block, EqualBlock)
     )
+
+
+class DeferredReports(Sequence[LevelReport]):
+    """The reports of a problem's levels at a step, worked out when first looked at."""
+
+    def __init__(self, problem: IKProblem, rank_tolerance: float, dtheta: Array) -> None:
+        self._problem, self._rank_tolerance, self._dtheta = problem, rank_tolerance, dtheta
+
+    @cached_property
+    def _reports(self) -> tuple[LevelReport, ...]:
+        return level_reports(Hierarchy(self._problem, self._rank_tolerance), self._problem.to_metric(self._dtheta))
+
+    @overload
+    def __getitem__(self, place: int) -> LevelReport: ...
+    @overload
+    def __getitem__(self, place: slice) -> Sequence[LevelReport]: ...
+    def __getitem__(self, place: int | slice) -> LevelReport | Sequence[LevelReport]:
+        return self._reports[place]
+
+    def __len__(self) -> int:
+        return len(self._reports)
+
+    def __eq__(self, other: object) -> bool:
+        return self._reports == tuple(other) if isinstance(other, Sequence) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._reports)
+
+    def __repr__(self) -> str:
+        return repr(self._reports)
 
 
 def _report(name: str, block: EqualBlock, roots: Array, residual: Array) -> LevelReport:

@@ -55,9 +55,9 @@ def step_of(method: Method, problem: IKProblem, options: SolveOptions, place: Pl
     step = method.step(problem, options, place)
     if not isinstance(step, JointStep):
         raise InputError(f"{method.name} returned {_kind(step)}; expected a JointStep.")
-    if step.dtheta is not None and step.certificate is None:
+    if step.dtheta is not None and not step.is_judged:
         return _certified(method, problem, step, options)
-    return step if step.method == method.name else replace(step, method=method.name)
+    return step.made_by(method.name)
 
 
 def _certified(method: Method, problem: IKProblem, step: JointStep, options: SolveOptions) -> JointStep:

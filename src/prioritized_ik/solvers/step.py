@@ -1,6 +1,7 @@
 """The outcome of one solve: a joint step and what is known of it."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from prioritized_ik.solvers.certificate import Certificate
@@ -58,6 +59,8 @@ class JointStep:
         levels: how each `equal` level was cut to its rank, and what that left undone.
         zeros: names of rows that were taken for zero, because they are rounding.
         method: name of the method that made it.
+        active_rows: names of the bounds and rows that the step was computed from; none where it is the closed form.
+        path: which form of the kernel made it, "compiled" or "python".
     """
 
     dtheta: Array | None
@@ -73,9 +76,20 @@ class JointStep:
     repairs: int = 0
     from_nothing: bool = False
     conflict: Conflict | None = None
-    levels: tuple[LevelReport, ...] = ()
+    levels: Sequence[LevelReport] = ()
     zeros: tuple[str, ...] = ()
     method: str = ""
+    active_rows: tuple[str, ...] = ()
+    path: str = "python"
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether there is a certificate, holding or not."""
+        return self.certificate is not None
+
+    def made_by(self, method: str) -> "JointStep":
+        """Return the same step under the name of the method that made it."""
+        return self if method == self.method else replace(self, method=method)
 
     def __str__(self) -> str:
         """Return the step's story in a few lines."""

@@ -1,0 +1,28 @@
+"""The solve and its certificate in C++: the form that is fast, beside the Python form that is read.
+
+    library.py     finds, checks and loads what `hatch_build.py` compiled; says why there is none
+    workspace.py   arrays that both sides see, filled from a problem
+    fast.py        from a problem to the `JointStep` of the core, or to None where the core declines
+    step.hpp       the algorithm; dense.hpp, its linear algebra; core.cpp, its interface
+
+The core answers where every decision is clear: ranks on both sides of their cuts, rows that are tight or are not, a
+certificate that holds with a margin. In every other case it declines and the Python form answers, with no loss but time.
+What it proves means what `certificate.py` proves, from the rows as they are given; rounding excuses nothing. Tolerances are
+those of `tolerances.py`, handed over when the library is loaded.
+
+What runs compiled, and what is left to the Python form:
+
+| feature | compiled |
+|---|---|
+| `equal` levels, weights, any number | yes |
+| bounds, frozen joints, inequality rows, equalities | yes |
+| reference, metric (diagonal or matrix) | yes |
+| damping, `"free"` or `"hold"` | yes |
+| rank tolerance | yes, unless a singular value stands at the cut |
+| start from the last step's rows, or from any solver's guess | yes |
+| levels of soft inequalities (`at_most`, `soften`) | no |
+| `noise` above the default | no |
+| equalities that nearly depend on each other, or are rounding | no |
+| conflicts: which rows contradict each other | no |
+| formulations `damped` and `slack`, `polish=False` | no |
+"""

@@ -1,0 +1,77 @@
+// The C interface of the compiled step, as library.py loads it.
+#include <new>
+
+#if defined(__x86_64__)
+#include <cpuid.h>
+#endif
+
+#include "step.hpp"
+
+#ifndef PRIORITIZED_IK_SOURCE
+#error "compile with -DPRIORITIZED_IK_SOURCE='\"digest of the sources\"', as hatch_build.py does"
+#endif
+
+#define EXPORTED extern "C" __attribute__((visibility("default")))
+
+using prioritized_ik::Sizes;
+using prioritized_ik::Step;
+using prioritized_ik::Tolerances;
+
+EXPORTED const char* core_source() { return PRIORITIZED_IK_SOURCE; }
+
+EXPORTED const char* core_tolerances() {
+#define FIELD(name) #name " "
+    return PRIORITIZED_IK_TOLERANCES(FIELD);
+#undef FIELD
+}
+
+// Whether this processor, and its system, run what is compiled for x86-64-v3. Asked of the processor itself: not every
+// compiler's runtime answers __builtin_cpu_supports from a shared library.
+EXPORTED int core_has_v3() {
+#if defined(__x86_64__)
+    unsigned a, b, c, d, low, high;
+    if (!__get_cpuid(1, &a, &b, &c, &d)) return 0;
+    const bool fma = c >> 12 & 1, saves = c >> 27 & 1, avx = c >> 28 & 1;
+    if (!fma || !saves || !avx || !__get_cpuid_count(7, 0, &a, &b, &c, &d)) return 0;
+    const bool bmi = b >> 3 & 1, avx2 = b >> 5 & 1, bmi2 = b >> 8 & 1;
+    __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
+    return bmi && avx2 && bmi2 && (low & 6) == 6;
+#else
+    return 0;
+#endif
+}
+
+EXPORTED Step* core_new(int joints, int levels, int level_rows, int rows, int equalities, const double* tolerances) {
+    Tolerances values;
+    std::memcpy(&values, tolerances, sizeof values);
+    try {
+        return new Step(Sizes{joints, levels, level_rows, rows, equalities}, values);
+    } catch (const std::bad_alloc&) {
+        return nullptr;
+    }
+}
+
+EXPORTED void core_delete(Step* step) { delete step; }
+
+EXPORTED int core_stride(const Step* step) { return step->stride; }
+
+// Addresses of the arrays of Exchange, in the order in which they stand there.
+EXPORTED void core_arrays(Step* step, void** at) {
+    auto& io = step->io;
+    for (auto* array : {&io.matrix, &io.target, &io.weights, &io.damping, &io.lower, &io.upper, &io.row_matrix, &io.row_upper,
+                        &io.equality_matrix, &io.equality_target, &io.metric_root, &io.reference, &io.settings})
+        *at++ = array->data();
+    *at++ = io.ends.data();
+    *at++ = io.guess.data();
+    for (auto* array : {&io.dtheta, &io.figures, &io.multipliers}) *at++ = array->data();
+    *at++ = io.lists.data();
+}
+
+// An `Ending`; -1 if memory runs out.
+EXPORTED int core_solve(Step* step, int levels, int level_rows, int rows, int equalities, int question) {
+    try {
+        return step->solve(Sizes{step->most.joints, levels, level_rows, rows, equalities}, Step::Question(question));
+    } catch (const std::bad_alloc&) {
+        return -1;
+    }
+}

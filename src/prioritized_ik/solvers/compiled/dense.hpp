@@ -1,0 +1,490 @@
+// Dense linear algebra on rows that are padded with zeros: reflectors, LQ, QR, triangles, non-negative least squares.
+// A "row" is `stride` doubles; only the first entries count, and the rest are zeros that vector instructions may read.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <cstring>
+#include <limits>
+#include <utility>
+#include <vector>
+
+namespace prioritized_ik {
+
+using std::abs;
+using std::max;
+using std::min;
+using std::sqrt;
+
+constexpr double INFINITE = std::numeric_limits<double>::infinity();
+
+// Four doubles at any address.
+typedef double Four __attribute__((vector_size(32), aligned(8)));
+
+inline Four& four(double* at) { return *reinterpret_cast<Four*>(at); }
+inline const Four& four(const double* at) { return *reinterpret_cast<const Four*>(at); }
+inline double total(Four x) { return (x[0] + x[2]) + (x[1] + x[3]); }
+
+constexpr int LANES = 4;
+inline int padded(int n) { return (n + LANES - 1) & ~(LANES - 1); }
+inline int aligned_start(int n) { return n & ~(LANES - 1); }
+
+inline double dot(const double* a, const double* b, int n) {
+    Four one = {}, two = {};
+    int i = 0;
+    for (; i + 8 <= n; i += 8) {
+        one += four(a + i) * four(b + i);
+        two += four(a + i + 4) * four(b + i + 4);
+    }
+    if (i + 4 <= n) {
+        one += four(a + i) * four(b + i);
+        i += 4;
+    }
+    double sum = total(one + two);
+    for (; i < n; i++) sum += a[i] * b[i];
+    return sum;
+}
+
+inline double norm(const double* a, int n) { return sqrt(dot(a, a, n)); }
+
+// to += factor * from
+inline void add(double factor, const double* from, double* to, int n) {
+    const Four f = {factor, factor, factor, factor};
+    int i = 0;
+    for (; i + 4 <= n; i += 4) four(to + i) += f * four(from + i);
+    for (; i < n; i++) to[i] += factor * from[i];
+}
+
+// to += factors[0] * rows[0] + … of k rows, each `stride` after the other and zero where it is not to count; n a multiple of four
+inline void add_rows(const double* factors, const double* rows, int stride, int k, double* to, int n) {
+    int j = 0;
+    for (; j + 4 <= k; j += 4) {
+        const double *a = rows + size_t(j) * stride, *b = a + stride, *c = b + stride, *d = c + stride;
+        const Four e = {factors[j], factors[j], factors[j], factors[j]};
+        const Four f = {factors[j + 1], factors[j + 1], factors[j + 1], factors[j + 1]};
+        const Four g = {factors[j + 2], factors[j + 2], factors[j + 2], factors[j + 2]};
+        const Four h = {factors[j + 3], factors[j + 3], factors[j + 3], factors[j + 3]};
+        for (int i = 0; i < n; i += 4) four(to + i) += (e * four(a + i) + f * four(b + i)) + (g * four(c + i) + h * four(d + i));
+    }
+    for (; j < k; j++) add(factors[j], rows + size_t(j) * stride, to, n);
+}
+
+inline void clear(double* a, size_t n) { std::memset(a, 0, sizeof(double) * n); }
+inline void copy(const double* from, double* to, size_t n) { std::memcpy(to, from, sizeof(double) * n); }
+
+// Scratch memory, given back in the order in which it was taken. Runs out by an exception: the caller enlarges it.
+class Arena {
+  public:
+    struct Exhausted {};
+
+    explicit Arena(size_t size) : memory_(size) {}
+
+    double* doubles(size_t n) {
+        n = (n + 7) & ~size_t(7);
+        if (used_ + n > memory_.size()) throw Exhausted{};
+        double* at = memory_.data() + used_;
+        used_ += n;
+        return at;
+    }
+    double* zeros(size_t n) {
+        double* at = doubles(n);
+        clear(at, n);
+        return at;
+    }
+    template <class T> T* array(size_t n) {
+        static_assert(sizeof(T) <= sizeof(double), "of at most eight bytes");
+        return reinterpret_cast<T*>(doubles(n + 1));
+    }
+    void enlarge() {
+        memory_.assign(2 * memory_.size(), 0.0);
+        used_ = 0;
+    }
+    size_t used() const { return used_; }
+    void back_to(size_t used) { used_ = used; }
+
+  private:
+    std::vector<double> memory_;
+    size_t used_ = 0;
+};
+
+struct Scope {
+    explicit Scope(Arena& arena) : arena_(arena), used_(arena.used()) {}
+    ~Scope() { arena_.back_to(used_); }
+    Scope(const Scope&) = delete;
+
+  private:
+    Arena& arena_;
+    size_t used_;
+};
+
+// v and tau with (I - tau v v^T) x = beta e_0, v[0] = 1; v may be x. Returns beta.
+inline double reflector(const double* x, double* v, int n, double& tau) {
+    const double size = norm(x, n);
+    if (size == 0.0) {
+        for (int i = 0; i < n; i++) v[i] = 0.0;
+        v[0] = 1.0;
+        tau = 0.0;
+        return 0.0;
+    }
+    const double beta = x[0] >= 0.0 ? -size : size, head = x[0], scale = 1.0 / (head - beta);
+    tau = (beta - head) / beta;
+    for (int i = 1; i < n; i++) v[i] = x[i] * scale;
+    v[0] = 1.0;
+    return beta;
+}
+
+// row := row (I - tau v v^T), n a multiple of four
+inline void reflect(double* row, const double* v, double tau, int n) {
+    Four sum = {};
+    for (int i = 0; i < n; i += 4) sum += four(row + i) * four(v + i);
+    const double f = -tau * total(sum);
+    const Four factor = {f, f, f, f};
+    for (int i = 0; i < n; i += 4) four(row + i) += factor * four(v + i);
+}
+
+// The same for all of `count` rows, four at a time.
+inline void reflect_all(double* const* rows, int count, int from, const double* v, double tau, int n) {
+    int i = 0;
+    for (; i + 4 <= count; i += 4) {
+        double *a = rows[i] + from, *b = rows[i + 1] + from, *c = rows[i + 2] + from, *d = rows[i + 3] + from;
+        Four p = {}, q = {}, r = {}, s = {};
+        for (int j = 0; j < n; j += 4) {
+            const Four x = four(v + j);
+            p += four(a + j) * x;
+            q += four(b + j) * x;
+            r += four(c + j) * x;
+            s += four(d + j) * x;
+        }
+        const double e = -tau * total(p), f = -tau * total(q), g = -tau * total(r), h = -tau * total(s);
+        p = Four{e, e, e, e}, q = Four{f, f, f, f}, r = Four{g, g, g, g}, s = Four{h, h, h, h};
+        for (int j = 0; j < n; j += 4) {
+            const Four x = four(v + j);
+            four(a + j) += p * x;
+            four(b + j) += q * x;
+            four(c + j) += r * x;
+            four(d + j) += s * x;
+        }
+    }
+    for (; i < count; i++) reflect(rows[i] + from, v, tau, n);
+}
+
+// A chain of reflectors, each a zero-padded row of `stride`.
+class Reflectors {
+  public:
+    int count = 0;
+
+    void reset(double* memory, int most, int stride) {
+        memory_ = memory;
+        stride_ = stride;
+        count = 0;
+        tau_.resize(most);
+        first_.resize(most);
+    }
+    // Returns the zeroed row that is to hold the next reflector, which begins at `first`.
+    double* next(int first) {
+        double* row = memory_ + size_t(count) * stride_;
+        clear(row, stride_);
+        first_[count] = first;
+        return row;
+    }
+    void keep(double tau) { tau_[count++] = tau; }
+
+    // row := row H_0 H_1 ... of each of k rows
+    void apply(double* const* rows, int k) const {
+        for (int h = 0; h < count; h++) {
+            const int from = aligned_start(first_[h]);
+            reflect_all(rows, k, from, memory_ + size_t(h) * stride_ + from, tau_[h], stride_ - from);
+        }
+    }
+    // row := H_0 H_1 ... row
+    void apply_reversed(double* row) const {
+        for (int h = count - 1; h >= 0; h--) one(row, h);
+    }
+
+  private:
+    void one(double* row, int h) const {
+        const int from = aligned_start(first_[h]);
+        reflect(row + from, memory_ + size_t(h) * stride_ + from, tau_[h], stride_ - from);
+    }
+
+    double* memory_ = nullptr;
+    int stride_ = 0;
+    std::vector<double> tau_;
+    std::vector<int> first_;
+};
+
+// Squared lengths of rows that shrink as coordinates are taken off them.
+class ShrinkingNorms {
+  public:
+    ShrinkingNorms(int n, Arena& arena) : now_(arena.doubles(n)), exact_(arena.doubles(n)) {}
+    void set(int i, double value) { now_[i] = exact_[i] = value; }
+    void swap(int i, int j) {
+        std::swap(now_[i], now_[j]);
+        std::swap(exact_[i], exact_[j]);
+    }
+    int longest(int from, int to) const {
+        int best = from;
+        for (int i = from + 1; i < to; i++)
+            if (now_[i] > now_[best]) best = i;
+        return best;
+    }
+    // Takes off `part`; counts anew, from `rest`, when too few digits are left.
+    void shrink(int i, double part, const double* rest, int n) {
+        now_[i] -= part * part;
+        if (now_[i] < LOST * exact_[i]) set(i, dot(rest, rest, n));
+    }
+
+  private:
+    static constexpr double LOST = 1e-4;  // eight of sixteen digits are left
+    double *now_, *exact_;
+};
+
+// LQ of rows[0 … n) in coordinates [c, m), the longest left first; rows[n … all) follow. Stops where what is left of every
+// row is at most `stop`, and returns the rank; `left` is the Frobenius norm of what is left.
+inline int row_pivoted_lq(double** rows, int* ids, int n, int all, int c, int m, int stride, Reflectors& chain, double stop,
+                          double& left, Arena& arena) {
+    Scope scope(arena);
+    ShrinkingNorms norms(n, arena);
+    for (int i = 0; i < n; i++) norms.set(i, dot(rows[i] + c, rows[i] + c, m - c));
+    const int most = min(n, m - c);
+    int r = 0;
+    left = 0.0;
+    for (; r < most; r++) {
+        const int best = norms.longest(r, n), at = c + r, from = aligned_start(at);
+        if (!(norm(rows[best] + at, m - at) > stop)) break;
+        std::swap(rows[r], rows[best]);
+        std::swap(ids[r], ids[best]);
+        norms.swap(r, best);
+        double *x = rows[r], *v = chain.next(at), tau;
+        x[at] = reflector(x + at, v + at, m - at, tau);
+        clear(x + at + 1, m - at - 1);
+        chain.keep(tau);
+        reflect_all(rows + r + 1, all - r - 1, from, v + from, tau, stride - from);
+        for (int i = r + 1; i < n; i++) norms.shrink(i, rows[i][at], rows[i] + at + 1, m - at - 1);
+    }
+    double sum = 0.0;
+    for (int i = r; i < n; i++) sum += dot(rows[i] + c + r, rows[i] + c + r, m - c - r);
+    left = sqrt(sum);
+    return r;
+}
+
+// QR of the first r of k columns of length n, stored as rows of `stride`; all k are transformed. With `kept`, reflector j is
+// stored in its row j, and its factor in `taus`.
+inline void column_qr(double* columns, int stride, int k, int r, int n, int* order, bool pivot, Arena& arena,
+                      double* kept = nullptr, double* taus = nullptr) {
+    Scope scope(arena);
+    ShrinkingNorms norms(r, arena);
+    double** column = arena.array<double*>(k);
+    double* own = arena.zeros(stride);
+    for (int j = 0; j < k; j++) column[j] = columns + size_t(j) * stride;
+    for (int j = 0; j < r; j++) {
+        order[j] = j;
+        if (pivot) norms.set(j, dot(column[j], column[j], n));
+    }
+    for (int j = 0; j < min(r, n); j++) {
+        if (pivot) {
+            const int best = norms.longest(j, r);
+            if (best != j) {
+                std::swap_ranges(column[j], column[j] + n, column[best]);
+                std::swap(order[j], order[best]);
+                norms.swap(j, best);
+            }
+        }
+        double* v = kept ? kept + size_t(j) * stride : own;
+        if (kept) clear(v, stride);
+        else if (j) v[j - 1] = 0.0;
+        double *x = column[j], tau;
+        x[j] = reflector(x + j, v + j, n - j, tau);
+        clear(x + j + 1, n - j - 1);
+        if (taus) taus[j] = tau;
+        const int from = aligned_start(j);
+        reflect_all(column + j + 1, k - j - 1, from, v + from, tau, stride - from);
+        if (pivot)
+            for (int i = j + 1; i < r; i++) norms.shrink(i, column[i][j], column[i] + j + 1, n - j - 1);
+    }
+}
+
+// An upper triangle R, its columns stored as rows of `stride`.
+struct Triangle {
+    double* columns;
+    int stride, size;
+
+    double* column(int j) const { return columns + size_t(j) * stride; }
+    double diagonal(int j) const { return columns[size_t(j) * stride + j]; }
+
+    // b := R^-1 b
+    void solve(double* b) const { solve_leading(b, size); }
+    void solve_leading(double* b, int n) const {
+        for (int j = n - 1; j >= 0; j--) {
+            b[j] /= diagonal(j);
+            add(-b[j], column(j), b, j);
+        }
+    }
+    // b := R^-T b
+    void solve_transposed(double* b) const {
+        for (int j = 0; j < size; j++) b[j] = (b[j] - dot(column(j), b, j)) / diagonal(j);
+    }
+    // out (zeros before) := R b
+    void times(const double* b, double* out) const {
+        for (int j = 0; j < size; j++) add(b[j], column(j), out, j + 1);
+    }
+    // Columns of R^-1 into rows of `stride`: of each, minus the columns before it weighed by R's column, over its diagonal.
+    void invert(double* inverse) const {
+        for (int j = 0; j < size; j++) {
+            double* x = inverse + size_t(j) * stride;
+            clear(x, stride);
+            add_rows(column(j), inverse, stride, j, x, padded(j));
+            const double scale = 1.0 / diagonal(j);
+            for (int i = 0; i < j; i++) x[i] *= -scale;
+            x[j] = scale;
+        }
+    }
+};
+
+// The smallest singular value of a triangle, by inverse iteration; -1 if it does not settle. If it is below `cut`, x is its
+// right vector, or one of those of all singular values below the cut where several are.
+inline double smallest_singular(const Triangle& R, double cut, double* x, Arena& arena) {
+    constexpr int ITERATIONS = 60;
+    constexpr double SETTLED = 4e-15, GOOD = 1e-13, NONE = 1e-18, CLEAR = 1.01, STEADY = 1e-5;
+    Scope scope(arena);
+    const int r = R.size;
+    double *y = arena.doubles(r), largest = 0.0;
+    for (int j = 0; j < r; j++) largest = max(largest, abs(R.diagonal(j)));
+    for (int j = 0; j < r; j++)
+        if (!(abs(R.diagonal(j)) > 1e-280 * largest)) return -1.0;
+    clear(x, r);
+    x[r - 1] = 1.0;
+    double change_before = INFINITE, value_before = INFINITE;
+    for (int iteration = 1; iteration <= ITERATIONS; iteration++) {
+        copy(x, y, r);
+        R.solve_transposed(y);
+        const double once = norm(y, r);
+        for (int j = 0; j < r; j++) y[j] /= once;
+        R.solve(y);
+        const double twice = norm(y, r), turn = (dot(x, y, r) > 0.0 ? 1.0 : -1.0) / twice, value = 1.0 / twice;
+        double change = 0.0;
+        for (int j = 0; j < r; j++) {
+            y[j] *= turn;
+            change = max(change, abs(y[j] - x[j]));
+            x[j] = y[j];
+        }
+        if (iteration > 1 && (change < SETTLED || (change < GOOD && change >= change_before))) return value;
+        // What x holds of the vectors above the cut shrinks by (value / cut)^2 in each iteration.
+        if (value < cut && 2.0 * iteration * std::log(value / cut) < std::log(NONE)) return value;
+        if (value > CLEAR * cut && iteration > 3 && abs(value - value_before) <= STEADY * value) return value;
+        change_before = change;
+        value_before = value;
+    }
+    return -1.0;
+}
+
+// The largest singular value of the linear map given by rows, by power iteration, from below: as near as is needed to tell on
+// which side of `compared` it is; -1 if it does not settle.
+inline double largest_singular(const double* const* rows, int n, int m, int stride, double compared, Arena& arena) {
+    constexpr int ITERATIONS = 200;
+    constexpr double SETTLED = 1e-10, CLEAR = 0.01;
+    Scope scope(arena);
+    double *x = arena.zeros(stride), *y = arena.doubles(stride), before = 0.0;
+    for (int j = 0; j < m; j++) x[j] = (1.0 + 0.01 * (j % 7)) / (1.1 * sqrt(double(m)));  // shorter than one
+    for (int iteration = 0; iteration < ITERATIONS; iteration++) {
+        clear(y, stride);
+        for (int i = 0; i < n; i++) add(dot(rows[i], x, stride), rows[i], y, stride);
+        const double size = norm(y, m);
+        if (size == 0.0) return 0.0;
+        for (int j = 0; j < m; j++) x[j] = y[j] / size;
+        const double value = sqrt(size), change = value - before, apart = (compared - value) / value;
+        // Slow progress towards the largest value, or towards a second one that is hardly smaller, is no longer than its root.
+        if (apart < -SETTLED || abs(change) <= value * max(SETTLED, apart > 0.0 ? CLEAR * apart * apart : 0.0)) return value;
+        before = value;
+    }
+    return -1.0;
+}
+
+// x >= 0 that makes |N^T x - target| least, N `t` rows of n, about unit length (Lawson and Hanson). All rows at once are
+// tried first. Returns whether it ended.
+inline bool nonnegative_least_squares(const double* rows, int stride, int t, int n, const double* target, double* x,
+                                      Arena& arena) {
+    constexpr double LEFT_OUT = 1e-11, DEPENDENT = 1e-13, GAIN = 1e-14;
+    Scope scope(arena);
+    double *columns = arena.doubles(size_t(t + 1) * stride), *z = arena.doubles(t + 1), *rest = arena.doubles(stride);
+    int *ids = arena.array<int>(t), *order = arena.array<int>(t + 1);
+    char* inside = arena.array<char>(t);
+    for (int i = 0; i < t; i++) inside[i] = 1;
+    const double size = norm(target, n);
+
+    // Least squares of the rows inside, in z by their places in ids; false if they are dependent.
+    auto solve = [&](int& k) {
+        k = 0;
+        for (int i = 0; i < t; i++)
+            if (inside[i]) {
+                copy(rows + size_t(i) * stride, columns + size_t(k) * stride, stride);
+                ids[k++] = i;
+            }
+        if (k > n) return false;
+        double* side = columns + size_t(k) * stride;
+        clear(side, stride);
+        copy(target, side, n);
+        column_qr(columns, stride, k + 1, k, n, order, false, arena);
+        for (int j = 0; j < k; j++)
+            if (!(abs(columns[size_t(j) * stride + j]) > DEPENDENT)) return false;
+        copy(side, z, k);
+        Triangle{columns, stride, k}.solve(z);
+        return true;
+    };
+    auto positive = [&](int k) {
+        for (int j = 0; j < k; j++)
+            if (!(z[j] > 0.0)) return false;
+        return true;
+    };
+
+    // All rows, those that depend on others left out.
+    clear(x, t);
+    copy(rows, columns, size_t(t) * stride);
+    double* whole = columns + size_t(t) * stride;
+    clear(whole, stride);
+    copy(target, whole, n);
+    column_qr(columns, stride, t + 1, t, n, order, true, arena);
+    int k = min(t, n);
+    while (k > 0 && abs(columns[size_t(k - 1) * stride + k - 1]) <= LEFT_OUT) k--;
+    copy(whole, z, k);
+    Triangle{columns, stride, k}.solve(z);
+    if (positive(k)) {
+        for (int j = 0; j < k; j++) x[order[j]] = z[j];
+        return true;
+    }
+    for (int i = 0; i < t; i++) inside[i] = 0;
+    for (int iteration = 0; iteration < 3 * t + 30; iteration++) {
+        copy(target, rest, n);
+        for (int i = 0; i < t; i++)
+            if (x[i] != 0.0) add(-x[i], rows + size_t(i) * stride, rest, n);
+        int best = -1;
+        double most = GAIN * size * sqrt(double(n));
+        for (int i = 0; i < t; i++)
+            if (!inside[i]) {
+                const double gain = dot(rows + size_t(i) * stride, rest, n);
+                if (gain > most) most = gain, best = i;
+            }
+        if (best < 0) return true;
+        inside[best] = 1;
+        for (int inner = 0; inner < t + 5; inner++) {
+            if (!solve(k)) return false;
+            if (positive(k)) {
+                clear(x, t);
+                for (int j = 0; j < k; j++) x[ids[j]] = z[j];
+                break;
+            }
+            double part = 1.0;
+            for (int j = 0; j < k; j++)
+                if (z[j] <= 0.0) part = min(part, x[ids[j]] / (x[ids[j]] - z[j]));
+            for (int j = 0; j < k; j++) {
+                double& value = x[ids[j]];
+                value += part * (z[j] - value);
+                if (z[j] <= 0.0 && value <= GAIN * (size + abs(z[j]))) value = 0.0, inside[ids[j]] = 0;
+            }
+        }
+    }
+    return false;
+}
+
+}  // namespace prioritized_ik

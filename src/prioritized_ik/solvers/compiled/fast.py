@@ -1,0 +1,197 @@
+"""From a problem to the joint step of the compiled core, or to None where it declines."""
+
+from collections.abc import Collection, Iterable
+from time import perf_counter
+from typing import Any, NamedTuple
+
+from prioritized_ik.problem import IKProblem
+from prioritized_ik.solvers.certificate import Certificate
+from prioritized_ik.solvers.compiled.library import Ending, Question, library
+from prioritized_ik.solvers.compiled.workspace import ACTIVE, COUNTS, FIGURES, HOLDING, Sizes, Workspace, workspace_for
+from prioritized_ik.solvers.report import DeferredReports
+from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
+from prioritized_ik.tolerances import NOISE
+from prioritized_ik.validation import Array
+
+FEW = 64  # counts and lists of most steps, read at once
+
+_STATUS: dict[int, StepStatus] = {Ending.CLOSED_FORM: StepStatus.CLOSED_FORM, Ending.SOLVED: StepStatus.SOLVED}
+
+
+def answers(problem: IKProblem) -> bool:
+    """Whether the core takes problems of this kind, see the table in `compiled/__init__.py`."""
+    if library().core is None or problem.noise != NOISE or not len(problem.reference):
+        return False
+    return all([level.kind == "equal" for level in problem.levels])
+
+
+class Remembered(NamedTuple):
+    """Rows by their numbers among `names`."""
+
+    names: tuple[str, ...]
+    numbers: list[int]
+
+    def named(self) -> tuple[str, ...]:
+        """Return the names of the rows."""
+        return tuple([self.names[number] for number in self.numbers])
+
+
+class _Late:
+    """A field of a `CompiledStep` that is put together with the others when the first is looked at."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, step: "CompiledStep | None", owner: type) -> Any:
+        if step is None:
+            return self
+        step.__dict__.update(_fields(step.written))
+        return step.__dict__[self._name]
+
+
+class CompiledStep(JointStep):
+    """A step of the core: what a control loop needs is there, names and figures are put together when looked at.
+
+    Attributes:
+        written: what the core wrote of it.
+    """
+
+    costs: Any = _Late()
+    tight_rows: Any = _Late()
+    violation: Any = _Late()
+    certificate: Any = _Late()
+    repairs: Any = _Late()
+    levels: Any = _Late()
+    zeros: Any = _Late()
+    active_rows: Any = _Late()
+    written: "Written"
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether there is a certificate: there always is."""
+        return True
+
+    def made_by(self, method: str) -> "CompiledStep":
+        """See `JointStep.made_by`; what is put together when looked at stays so."""
+        step = object.__new__(CompiledStep)
+        step.__dict__.update(self.__dict__, method=method)
+        return step
+
+
+class Written(NamedTuple):
+    """What the core wrote of a step, see `Exchange` in step.hpp, and the names that it refers to."""
+
+    problem: IKProblem
+    rank_tolerance: float
+    dtheta: Array
+    figures: Array
+    lists: list[int]
+    names: tuple[str, ...]
+
+    def active(self) -> Remembered:
+        """Return the rows that the step was computed from."""
+        return Remembered(self.names, self.lists[COUNTS : COUNTS + self.lists[ACTIVE]])
+
+
+def compiled_step(
+    problem: IKProblem,
+    rank_tolerance: float,
+    rows: Collection[str] | Remembered = (),
+    question: Question = Question.STEP,
+) -> CompiledStep | None:
+    """Return the certified step of a problem that the core `answers`, None if it declines.
+
+    Args:
+        problem: damped levels are taken as their rows.
+        rank_tolerance: see `SolveOptions`.
+        rows: those that the step may rest on, such as the last step's, or their names.
+        question: the step; only a closed form that breaks no row; or no closed form first.
+    """
+    started = perf_counter()
+    flat = problem if problem.metric.ndim == 1 else problem.in_metric
+    sizes = Sizes.of(flat)
+    workspace = workspace_for(sizes)
+    workspace.fill(flat, sizes, rank_tolerance)
+    workspace.name(flat)
+    workspace.guess[:] = False
+    for number in _numbers(rows, workspace):
+        workspace.guess[number] = True
+    status = _STATUS.get(workspace.solve(sizes, question))
+    if status is None:
+        return None
+    lists: list[int] = workspace.lists[:FEW].tolist()
+    last = COUNTS + sum(lists[ACTIVE:HOLDING]) + 2 * lists[HOLDING]
+    if last > FEW:
+        lists = workspace.lists[:last].tolist()
+    dtheta = workspace.dtheta.copy()
+    if flat is not problem:
+        dtheta = problem.from_metric(dtheta)
+    figures = workspace.figures[: FIGURES * (sizes.levels + 1) + 2 + sizes.levels].copy()
+    step = object.__new__(CompiledStep)
+    step.__dict__.update(
+        dtheta=dtheta,
+        status=status,
+        path="compiled",
+        timings=Timings(perf_counter() - started, 0.0),
+        written=Written(problem, rank_tolerance, dtheta, figures, lists, workspace.names),
+    )
+    return step
+
+
+def _numbers(rows: Collection[str] | Remembered, workspace: Workspace) -> Iterable[int]:
+    """Return the numbers of rows in this problem, those that it does not have left out."""
+    if isinstance(rows, Remembered):
+        if rows.names is workspace.names:
+            return rows.numbers
+        rows = rows.named()
+    known = workspace.numbers
+    return [known[name] for name in rows if name in known]
+
+
+def _fields(written: Written) -> dict[str, Any]:
+    """Return the fields of a step that are put together late."""
+    problem, rank_tolerance, dtheta, values, lists, names = written
+    levels = len(problem.levels)
+    end, figures = FIGURES * (levels + 1), values.tolist()
+    corrections, _, _, active, tight, zero, holding = lists[:COUNTS]
+    active += COUNTS
+    tight += active
+    zero += tight
+    held: list[tuple[str, ...]] = [()] * (levels + 1)
+    for place in range(zero, zero + 2 * holding, 2):
+        held[lists[place]] += (names[lists[place + 1]],)
+    certificate = Certificate(
+        figures[end],
+        tuple(figures[0:end:FIGURES]),
+        tuple(figures[1:end:FIGURES]),
+        tuple(figures[2:end:FIGURES]),
+        tuple(figures[3:end:FIGURES]),
+        tuple(held),
+    )
+    return {
+        "costs": tuple(figures[end + 2 :]),
+        "tight_rows": tuple([names[i] for i in lists[active:tight]]),
+        "violation": figures[end],
+        "certificate": certificate,
+        "repairs": corrections,
+        "levels": DeferredReports(problem, rank_tolerance, dtheta),
+        "zeros": _row_names(problem, lists[tight:zero], names[2 * problem.joint_count :]) if zero > tight else (),
+        "active_rows": tuple([names[i] for i in lists[COUNTS:active]]),
+    }
+
+
+def _row_names(problem: IKProblem, numbers: list[int], hard: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the names of rows by `numbers`, counted through all levels and then through the `hard` rows."""
+    names: list[str] = []
+    before, rest = 0, iter(numbers)
+    number = next(rest, None)
+    for level in problem.levels:
+        end = before + len(level.target)
+        while number is not None and number < end:
+            names.append(f"{level.name} row {number - before + 1}")
+            number = next(rest, None)
+        before = end
+    while number is not None:
+        names.append(hard[number - before])
+        number = next(rest, None)
+    return tuple(names)

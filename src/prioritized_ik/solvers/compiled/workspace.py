@@ -1,0 +1,175 @@
+"""Arrays that Python and the compiled core both see, filled from a problem and reused for the next."""
+
+import ctypes
+import math
+import threading
+import weakref
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prioritized_ik.problem import IKProblem
+from prioritized_ik.solvers.compiled.library import Question, library, tolerances_of
+from prioritized_ik.validation import Array
+
+FIGURES = 4  # of a level: gap, relative gap, stationarity, rounding
+COUNTS = 7  # corrections, faces, proofs; the lengths of the lists of active, tight, zero and holding rows
+ACTIVE, HOLDING = 3, 6  # their places; those between are of the tight rows and of those that are rounding
+ARRAYS = 19  # that both sides see
+
+
+class Sizes(NamedTuple):
+    """How much there is of everything, or room for."""
+
+    joints: int
+    levels: int
+    level_rows: int
+    rows: int
+    equalities: int
+
+    @staticmethod
+    def of(problem: IKProblem) -> "Sizes":
+        """Return the sizes of a problem."""
+        return Sizes(
+            len(problem.reference),
+            len(problem.levels),
+            sum(len(level.target) for level in problem.levels),
+            len(problem.rows.upper),
+            len(problem.equalities.target),
+        )
+
+    def fits(self, room: "Sizes") -> bool:
+        """Whether a problem of these sizes has room there."""
+        return (
+            self.joints == room.joints
+            and self.levels <= room.levels
+            and self.level_rows <= room.level_rows
+            and self.rows <= room.rows
+            and self.equalities <= room.equalities
+        )
+
+    def roomy(self, other: "Sizes | None") -> "Sizes":
+        """Return room for both problems of these sizes and of others, and for some growth."""
+        if other is None or other.joints != self.joints:
+            other = self
+        return Sizes(
+            self.joints,
+            max(self.levels, other.levels, 4),
+            max(self.level_rows, other.level_rows),
+            max(2 * self.rows, other.rows, 16),
+            max(self.equalities, other.equalities),
+        )
+
+
+class Workspace:
+    """One core and its arrays, see `Exchange` in step.hpp; for one thread at a time."""
+
+    def __init__(self, room: Sizes) -> None:
+        core = library().core
+        assert core is not None
+        self.room, self._solve = room, core.core_solve
+        m, k, r, e = room.joints, room.level_rows, room.rows, room.equalities
+        values = tolerances_of(core)
+        address = core.core_new(m, room.levels, k, r, e, values.ctypes.data)
+        if not address:
+            raise MemoryError("no memory for the compiled core")
+        self._address = ctypes.c_void_p(address)
+        weakref.finalize(self, core.core_delete, self._address)
+        stride, every = core.core_stride(self._address), 2 * m + r
+        levels = room.levels
+        addresses = (ctypes.c_void_p * ARRAYS)()
+        core.core_arrays(self._address, addresses)
+        at = iter(addresses)
+        # In the order of Exchange.
+        self.matrix = _reals(next(at), k, stride)[:, :m]
+        self.target, self.weights = _reals(next(at), k), _reals(next(at), k)
+        self.damping = _reals(next(at), levels)
+        self.lower, self.upper = _reals(next(at), m), _reals(next(at), m)
+        self.row_matrix, self.row_upper = _reals(next(at), r, stride)[:, :m], _reals(next(at), r)
+        self.equality_matrix, self.equality_target = _reals(next(at), e, stride)[:, :m], _reals(next(at), e)
+        self.metric_root, self.reference = _reals(next(at), m), _reals(next(at), m)
+        self.settings = _reals(next(at), 2)
+        self.ends, self.guess = _integers(next(at), levels), _flags(next(at), every)
+        self.dtheta = _reals(next(at), m)
+        self.figures = _reals(next(at), FIGURES * (levels + 1) + 2 + levels)
+        self.multipliers = _reals(next(at), (levels + 1) * every)
+        self.lists = _integers(next(at), COUNTS + 2 * every + k + r + 2 * (levels + 1) * every)
+        self._names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
+        self.names: tuple[str, ...] = ()  # of upper bounds, lower bounds and rows, as lists number them
+        self.numbers: dict[str, int] = {}
+
+    def fill(self, problem: IKProblem, sizes: Sizes, rank_tolerance: float) -> None:
+        """Write a problem that has room, whose metric is diagonal."""
+        end = 0
+        for number, level in enumerate(problem.levels):
+            start, end = end, end + len(level.target)
+            self.matrix[start:end] = level.matrix
+            self.target[start:end] = level.target
+            self.weights[start:end] = level.weights
+            self.damping[number] = level.damping
+            self.ends[number] = end
+        self.lower[:] = problem.bounds.lower
+        self.upper[:] = problem.bounds.upper
+        if n := sizes.rows:
+            self.row_matrix[:n] = problem.rows.matrix
+            self.row_upper[:n] = problem.rows.upper
+        if n := sizes.equalities:
+            self.equality_matrix[:n] = problem.equalities.matrix
+            self.equality_target[:n] = problem.equalities.target
+        np.sqrt(problem.metric, out=self.metric_root)
+        self.reference[:] = problem.reference
+        self.settings[0] = rank_tolerance
+        self.settings[1] = problem.noise
+
+    def name(self, problem: IKProblem) -> None:
+        """Let `names` and `numbers` be those of a problem."""
+        found = problem.bounds.names, problem.rows.names
+        if found != self._names:
+            self._names = found
+            self.names = (*(f"{name} upper" for name in found[0]), *(f"{name} lower" for name in found[0]), *found[1])
+            self.numbers = {name: number for number, name in reversed(list(enumerate(self.names)))}
+
+    def solve(self, sizes: Sizes, question: Question) -> int:
+        """Return the `Ending` of the problem that was written."""
+        ending: int = self._solve(self._address, sizes.levels, sizes.level_rows, sizes.rows, sizes.equalities, question)
+        if ending < 0:
+            raise MemoryError("no memory for the compiled core")
+        return ending
+
+
+def _reals(address: int | None, rows: int, width: int | None = None) -> Array:
+    shape = (rows,) if width is None else (rows, width)
+    if address is None or not rows:
+        return np.zeros(shape)
+    return np.ctypeslib.as_array((ctypes.c_double * math.prod(shape)).from_address(address)).reshape(shape)
+
+
+def _integers(address: int | None, count: int) -> NDArray[np.int32]:
+    if address is None or not count:
+        return np.zeros(0, dtype=np.int32)
+    return np.ctypeslib.as_array((ctypes.c_int32 * count).from_address(address))
+
+
+def _flags(address: int | None, count: int) -> NDArray[np.bool_]:
+    if address is None or not count:
+        return np.zeros(0, dtype=np.bool_)
+    return np.ctypeslib.as_array((ctypes.c_bool * count).from_address(address))
+
+
+class _Own(threading.local):
+    """Each thread's workspaces, by number of joints."""
+
+    def __init__(self) -> None:
+        self.by_joints: dict[int, Workspace] = {}
+
+
+_OWN = _Own()
+
+
+def workspace_for(sizes: Sizes) -> Workspace:
+    """Return this thread's workspace with room for a problem of `sizes`."""
+    found = _OWN.by_joints.get(sizes.joints)
+    if found is None or not sizes.fits(found.room):
+        found = _OWN.by_joints[sizes.joints] = Workspace(sizes.roomy(None if found is None else found.room))
+    return found
