@@ -268,7 +268,7 @@ class TestTheLibrary:
     @pytest.mark.parametrize(("value", "path"), [("1", "python"), ("0", "compiled")])
     def test_the_switch_leaves_the_python_form_alone(self, value: str, path: str) -> None:
         code = (
-            "from prioritized_ik.problem import IKProblem, Level\nfrom prioritized_ik.solvers.lexicographic import solve\n"
+            "from prioritized_ik.problem import IKProblem, Level\nfrom prioritized_ik.solvers.solve import solve\n"
             "print(solve(IKProblem([Level([[1.0, 2.0]], [1.0])])).path)"
         )
         done = subprocess.run(
