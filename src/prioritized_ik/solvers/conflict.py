@@ -13,7 +13,6 @@ the rest still contradict each other.
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 
 from prioritized_ik.errors import PrioritizedIkError
 from prioritized_ik.problem import IKProblem
@@ -143,9 +142,11 @@ def _least_violation(hard: _HardRows) -> _Violation | None:
 
 def _linear_program(matrix: Array, sides: Array) -> tuple[Array, float, Array]:
     """Return x `(m,)`, t and multipliers `(n,)` of: minimise t >= 0 subject to matrix @ x - t <= sides."""
+    from scipy.optimize import linprog  # see `subspaces.nonnegative_least_squares`
+
     n, m = matrix.shape
     for method in ("highs-ds", "highs-ipm"):
-        result = scipy.optimize.linprog(
+        result = linprog(
             c=np.append(np.zeros(m), 1.0),
             A_ub=np.hstack([matrix, -np.ones((n, 1))]),
             b_ub=sides,

@@ -12,8 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 
-import qpsolvers
-
 from prioritized_ik.errors import InputError, SolverUnavailableError
 from prioritized_ik.solvers.backends.abilities import ABILITIES
 from prioritized_ik.solvers.backends.registry import (
@@ -22,6 +20,7 @@ from prioritized_ik.solvers.backends.registry import (
     get_backend,
     installed_solvers,
     known_solvers,
+    through_qpsolvers,
 )
 from prioritized_ik.solvers.methods import ActiveSet, ClosedForm, Damped, Lexicographic, Method, Slack
 from prioritized_ik.validation import one_of
@@ -70,7 +69,7 @@ def _installed(on_request: bool) -> list[str]:
 
 
 def _through_qpsolvers(on_request: bool) -> list[str]:
-    return [name for name in _installed(on_request) if name in qpsolvers.available_solvers]
+    return [name for name in _installed(on_request) if name in through_qpsolvers()]
 
 
 _families = {

@@ -13,15 +13,18 @@ own target, so that steps of millimetres do not drown in solver tolerances. For 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import qpsolvers
 from numpy.typing import NDArray
 
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy
 from prioritized_ik.tolerances import EXCEEDED
 from prioritized_ik.validation import Array, lengths
+
+if TYPE_CHECKING:
+    import qpsolvers
 
 #: In the last stage the optimum is within 2 units of x = 0, which is feasible; slacks beyond this can be cut to it
 #: without changing the optimum, and interior-point solvers start far off if they are not.
@@ -43,7 +46,7 @@ class Stage:
         exceeded: of a soft level, which of the rows `(r,)` are exceeded at the variables x; None of another.
     """
 
-    problem: qpsolvers.Problem
+    problem: "qpsolvers.Problem"
     origin: Array
     basis: Array
     unfelt: Array
@@ -147,6 +150,13 @@ def _equal_stage(level: Level, block: EqualBlock, state: FoldState) -> Stage:
     return _scaled_stage(state, felt.felt, felt.unfelt, target, float(unit) or 1.0, np.inf)
 
 
+def _qp(*sides: Array | None) -> "qpsolvers.Problem":
+    """Return the QP of these sides. qpsolvers imports every solver there is, so it waits until a stage is made."""
+    import qpsolvers
+
+    return qpsolvers.Problem(*sides)
+
+
 def _soft_stage(level: Level, state: FoldState) -> Stage:
     """Return min ½‖w‖² over the excesses w `(k,)` of the level's rows, first variables, and all directions left."""
     rows = state.hierarchy.rows
@@ -162,7 +172,7 @@ def _soft_stage(level: Level, state: FoldState) -> Stage:
     norms = lengths(matrix)
     hessian = np.diag(np.repeat([1.0, 0.0], [k, f]))
     linear = np.concatenate([excess / unit, np.zeros(f)])
-    qp = qpsolvers.Problem(hessian, linear, matrix / norms[:, None], upper / norms)
+    qp = _qp(hessian, linear, matrix / norms[:, None], upper / norms)
 
     def exceeded(x: Array) -> NDArray[np.bool_]:
         return np.concatenate([np.zeros(len(state.row_ids), dtype=bool), x[:k] + excess / unit > EXCEEDED])
@@ -182,7 +192,7 @@ def damped_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
     linear = -weighted.T @ level.target - damping * problem.reference
     matrix = np.vstack([rows.matrix, fixed.matrix, -fixed.matrix])
     upper = np.concatenate([rows.upper, fixed.target, -fixed.target])
-    qp = qpsolvers.Problem(hessian, linear, *((matrix, upper) if len(upper) else (None, None)))
+    qp = _qp(hessian, linear, *((matrix, upper) if len(upper) else (None, None)))
     return Stage(qp, np.zeros(m), np.eye(m), np.zeros((m, 0)), 0, np.arange(len(upper)))
 
 
@@ -199,7 +209,7 @@ def slack_stage(problem: IKProblem, level: Level, damping: float) -> Stage:
     matrix = np.vstack([np.hstack([level.matrix, np.eye(k)]), of_equalities])
     target = np.concatenate([level.target, fixed.target])
     sides = (np.hstack([rows.matrix, np.zeros((len(rows.upper), k))]), rows.upper) if len(rows.upper) else (None, None)
-    qp = qpsolvers.Problem(hessian, linear, *sides, matrix, target)
+    qp = _qp(hessian, linear, *sides, matrix, target)
     basis = np.eye(m, m + k)
     return Stage(qp, np.zeros(m), basis, np.zeros((m, 0)), 0, np.arange(len(rows.upper)))
 
@@ -211,8 +221,8 @@ def _scaled_stage(state: FoldState, felt: Array, unfelt: Array, target: Array, u
     hessian = np.diag(np.repeat([1.0, 0.0], [costed, unfelt.shape[1]]))
     linear = np.concatenate([-target / unit, np.zeros(unfelt.shape[1])])
     if not len(state.row_ids):
-        return Stage(qpsolvers.Problem(hessian, linear), state.origin, basis, unfelt, state.place, state.row_ids)
+        return Stage(_qp(hessian, linear), state.origin, basis, unfelt, state.place, state.row_ids)
     rows = state.rows @ basis
     norms = lengths(rows)
-    qp = qpsolvers.Problem(hessian, linear, rows / norms[:, None], np.minimum(state.slack / norms, far))
+    qp = _qp(hessian, linear, rows / norms[:, None], np.minimum(state.slack / norms, far))
     return Stage(qp, state.origin, basis, unfelt, state.place, state.row_ids)

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-import scipy.optimize
 from numpy.typing import NDArray
 
 from prioritized_ik.tolerances import DEPENDENT
@@ -83,8 +82,10 @@ def nonnegative_least_squares(matrix: Array, target: Array) -> tuple[Array, floa
     NNLS solves normal equations, which loses half of the digits where columns are nearly parallel: what it finds positive
     is solved for again by orthogonal least squares, twice.
     """
+    from scipy.optimize import nnls  # takes longer to import than all else; most steps do without
+
     try:
-        x, distance = scipy.optimize.nnls(matrix, target)
+        x, distance = nnls(matrix, target)
     except RuntimeError:  # out of iterations
         return np.zeros(matrix.shape[1]), np.inf
     positive = x > 0.0

@@ -4,28 +4,31 @@ import difflib
 import importlib.util
 from numbers import Real
 
-import qpsolvers
-
 from prioritized_ik.errors import InputError, SolverUnavailableError
 from prioritized_ik.solvers.backends.abilities import ABILITIES, NATIVE, abilities_of
-from prioritized_ik.solvers.backends.native import NativeBackend, Workspace
 from prioritized_ik.solvers.backends.protocol import Backend
-from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
 from prioritized_ik.validation import fraction
 
 #: Accuracy asked of a solver unless told otherwise, in the stages' scaled variables.
 ACCURACY = 1e-8
 
 
+def through_qpsolvers() -> list[str]:
+    """Return the names of the solvers that qpsolvers finds here. It imports all of them, so it waits until asked."""
+    import qpsolvers
+
+    return list(qpsolvers.available_solvers)
+
+
 def known_solvers() -> list[str]:
     """Return the names of every QP solver this package knows, installed or not."""
-    return sorted({*ABILITIES, *NATIVE, *qpsolvers.available_solvers})
+    return sorted({*ABILITIES, *NATIVE, *through_qpsolvers()})
 
 
 def installed_solvers(*, on_request: bool = False) -> list[str]:
     """Return the names of the QP solvers that can run here; those that run only on request too if `on_request`."""
     native = (name for name in NATIVE if _is_installed(name))
-    names = sorted({*qpsolvers.available_solvers, *native})
+    names = sorted({*through_qpsolvers(), *native})
     return [name for name in names if on_request or not abilities_of(name).on_request]
 
 
@@ -49,7 +52,9 @@ def get_backend(name: str, accuracy: float = ACCURACY, *, refine: bool = True) -
     if name not in known_solvers():
         raise SolverUnavailableError(f"unknown solver {name!r}; {_guess(name)}choose one of: {_installed()}.")
     accuracy = checked_accuracy(accuracy, name)
-    if name in qpsolvers.available_solvers:
+    if name in through_qpsolvers():
+        from prioritized_ik.solvers.backends.qpsolvers_ import QpsolversBackend
+
         return QpsolversBackend(name, accuracy, refine=refine)
     if name in NATIVE and _is_installed(name):
         return _native(name, accuracy, refine=refine)
@@ -92,6 +97,8 @@ def _is_installed(name: str) -> bool:
 
 def _native(name: str, accuracy: float, *, refine: bool) -> Backend:
     """Return native backend `name`. Its module imports its solver, so it waits until now."""
+    from prioritized_ik.solvers.backends.native import NativeBackend, Workspace
+
     workspace: type[Workspace]
     match name:
         case "daqp-warm":
