@@ -178,7 +178,7 @@ def test_a_combination_that_is_not_found_is_none_at_all_and_infinitely_far(monke
     def gives_up(matrix, target):
         raise RuntimeError("Maximum number of iterations reached.")
 
-    monkeypatch.setattr(subspaces.scipy.optimize, "nnls", gives_up)
+    monkeypatch.setattr("scipy.optimize.nnls", gives_up)
     x, distance = nonnegative_least_squares(np.ones((3, 2)), np.ones(3))
     assert (x.tolist(), distance) == ([0.0, 0.0], np.inf)
     # So that rows of which it is not known whether they leave room are no equalities.
