@@ -5,9 +5,13 @@ READY := .venv/.ready
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: setup compare paper test lint types unit readme lock clean
+.PHONY: setup system compare paper test lint types unit unit-fast package readme lock clean
 
-setup: $(READY)
+setup: system $(READY)
+
+# Installs system packages where that needs no password; says in one line what else is missing, and goes on.
+system:
+	@PYTHON=$(PYTHON) tools/system-packages
 
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -m venv --clear .venv
@@ -23,9 +27,9 @@ compare: setup
 
 # Every table and figure of the paper, and the report, in results/paper/.
 paper: setup
-	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/prioritized-ik paper --out results/paper
+	$(BIN)/prioritized-ik paper --out results/paper
 
-test: lint types unit
+test: lint types package unit
 
 lint: setup
 	$(BIN)/ruff check .
@@ -35,16 +39,24 @@ types: setup
 	$(BIN)/mypy
 
 unit: setup
-	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# Without the tests that take long.
+unit-fast: setup
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+
+# The wheel and the source archive: what they hold and say, and that they install and start on their own.
+package: setup
+	$(BIN)/python tools/check_package.py
 
 # What the README shows: its tables and its picture.
 readme: setup
-	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/prioritized-ik paper --out results/paper --readme README.md
-	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/prioritized-ik wind --tilt 0.3 --record docs/wound.png
+	$(BIN)/prioritized-ik paper --out results/paper --readme README.md
+	$(BIN)/prioritized-ik wind --tilt 0.3 --record docs/wound.png
 
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
-	    --extra solvers --extra report --extra cluster --extra dev pyproject.toml --output-file requirements.lock
+	    --extra all --extra dev pyproject.toml --output-file requirements.lock
 
 clean:
 	rm -rf .venv results

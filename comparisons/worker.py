@@ -30,7 +30,6 @@ from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.lexicographic import joint_step
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
-from prioritized_ik.solvers.witness import witness_step
 from prioritized_ik.validation import Array
 from prioritized_ik.winding.episode import Episode, Solve, wind
 from prioritized_ik.winding.metrics import measure
@@ -157,6 +156,8 @@ def _solver(settings: ComparisonSettings, job: Job, winding: WindingSettings) ->
 
 
 def _witness(rank_tolerance: float, problem: IKProblem, q: Array) -> JointStep:
+    from prioritized_ik.solvers.witness import witness_step  # CVXPY is an extra
+
     del q
     started = time.perf_counter()
     try:

@@ -14,6 +14,17 @@ from prioritized_ik.errors import PrioritizedIkError
 DISAGREES, BAD_INPUT = 1, 2  # exit codes
 
 
+#: Extras of this package, and what each brings that a command imports.
+EXTRAS = {
+    "cluster": ("dask", "distributed"),
+    "compare": ("mink", "polars"),
+    "mink": ("mink",),
+    "render": ("PIL",),
+    "report": ("cvxpy", "markdown_it", "matplotlib", "mink", "PIL", "polars", "pylatexenc"),
+    "solvers": ("cvxpy",),
+}
+
+
 class BadInput(click.ClickException):
     """An error of this package, as one message."""
 
@@ -107,9 +118,12 @@ def wind(
     if save is not None:
         writable_file(save)
     if record is not None:
+        require_extra("render")
+        from prioritized_ik.rendering import use_working_backend
         from prioritized_ik.winding.picture import kind_of
 
         kind_of(writable_file(record))
+        use_working_backend()
     free = solver == CLOSED_FORM  # the closed form knows no limits
     settings = WindingSettings(
         arm=Arm(links=links),
@@ -149,6 +163,23 @@ def wind(
         click.echo(f"recorded     {record}")
     if episode.outcome is not Outcome.WOUND:
         raise SystemExit(DISAGREES)
+
+
+def require_extra(extra: str) -> None:
+    """Return if what an extra of this package brings is installed.
+
+    Raises:
+        PrioritizedIkError: it is not; the message says how to get it.
+    """
+    from importlib.util import find_spec
+
+    from prioritized_ik.errors import MissingExtraError
+
+    missing = [name for name in EXTRAS[extra] if find_spec(name) is None]
+    if missing:
+        raise MissingExtraError(
+            f"{', '.join(missing)} not installed; get the extra by: pip install 'prioritized-ik[{extra}]'."
+        )
 
 
 def writable_file(path: str) -> str:

@@ -23,6 +23,10 @@ class ModelError(InputError):
     """The MuJoCo model lacks something that was asked for, or holds it in an unusable form."""
 
 
+class MissingExtraError(PrioritizedIkError):
+    """A command needs packages of an optional extra that is not installed."""
+
+
 class SolverUnavailableError(PrioritizedIkError):
     """A QP solver is unknown, or known but not installed."""
 
