@@ -5,7 +5,7 @@ READY := .venv/.ready
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: setup system compare paper test lint types unit unit-fast package readme lock clean
+.PHONY: setup system compare paper test lint types unit package readme lock clean
 
 setup: system $(READY)
 
@@ -40,10 +40,6 @@ types: setup
 
 unit: setup
 	$(BIN)/python -m pytest -n 2 --dist loadfile
-
-# Without the tests that take long.
-unit-fast: setup
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
 
 # The wheel and the source archive: what they hold and say, and that they install and start on their own.
 package: setup
