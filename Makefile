@@ -5,11 +5,18 @@ READY := .venv/.ready
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: setup compare paper test lint types unit readme lock clean
+.PHONY: setup system compare paper test lint types unit package readme lock clean
 
-setup: $(READY)
+setup: system $(READY)
 
-$(READY): requirements.lock pyproject.toml
+# Installs system packages where that needs no password; says in one line what else is missing, and goes on.
+system:
+	@PYTHON=$(PYTHON) tools/system-packages
+
+# The core of the solve is compiled in place when the package is installed.
+CORE := hatch_build.py $(wildcard src/prioritized_ik/solvers/compiled/*pp)
+
+$(READY): requirements.lock pyproject.toml $(CORE)
 	$(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
@@ -23,9 +30,9 @@ compare: setup
 
 # Every table and figure of the paper, and the report, in results/paper/.
 paper: setup
-	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/prioritized-ik paper --out results/paper
+	$(BIN)/prioritized-ik paper --out results/paper
 
-test: lint types unit
+test: lint types package unit
 
 lint: setup
 	$(BIN)/ruff check .
@@ -35,16 +42,20 @@ types: setup
 	$(BIN)/mypy
 
 unit: setup
-	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# The wheel and the source archive: what they hold and say, and that they install and start on their own.
+package: setup
+	$(BIN)/python tools/check_package.py
 
 # What the README shows: its tables and its picture.
 readme: setup
-	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/prioritized-ik paper --out results/paper --readme README.md
-	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/prioritized-ik wind --tilt 0.3 --record docs/wound.png
+	$(BIN)/prioritized-ik paper --out results/paper --readme README.md
+	$(BIN)/prioritized-ik wind --tilt 0.3 --record docs/wound.png
 
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
-	    --extra solvers --extra report --extra cluster --extra dev pyproject.toml --output-file requirements.lock
+	    --extra all --extra dev pyproject.toml --output-file requirements.lock
 
 clean:
 	rm -rf .venv results

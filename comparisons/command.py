@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import click
 
-from prioritized_ik.cli import DISAGREES, made_folder, writable_file
+from prioritized_ik.cli import DISAGREES, made_folder, require_extra, writable_file
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -157,6 +157,11 @@ def compare(
     Each solver works in a process of its own: one that crashes, hangs, eats memory or returns NaN fails alone. With
     --out, a run that was interrupted goes on where it was.
     """
+    require_extra("compare")
+    if witness:
+        require_extra("solvers")
+    if scheduler:
+        require_extra("cluster")
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from comparisons.command import FILE_WIDTH
-from prioritized_ik.cli import writable_file
+from prioritized_ik.cli import require_extra, writable_file
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -46,6 +46,7 @@ QUANTITIES = {"dtheta": "dθ", "level_1": "the first task's residual", "level_2"
 @click.group()
 def demo() -> None:
     """Show why a damped solve is not the least norm, and a large weight not a strict priority."""
+    require_extra("compare")
 
 
 @demo.command("minimum-norm")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from prioritized_ik.cli import made_folder
+from prioritized_ik.cli import made_folder, require_extra
 
 
 @click.command("export-qpbenchmark")
@@ -20,6 +20,7 @@ from prioritized_ik.cli import made_folder
 @click.option("--steps", default=25, help="Problems to take of each episode, evenly spaced; each has two stages or more.")
 def export_qpbenchmark(folder: Path, recorded: Path | None, directions: str, link: int, tilt: float, steps: int) -> None:
     """Write recorded winding problems into DIR as a test set of qpbenchmark, for authors of QP solvers."""
+    require_extra("compare")
     from threadpoolctl import threadpool_limits
 
     from comparisons.cases import own_files

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from prioritized_ik.cli import DISAGREES, made_folder, writable_file
+from prioritized_ik.cli import DISAGREES, made_folder, require_extra, writable_file
 
 if TYPE_CHECKING:
     from paper_repro.artefact import Scale
@@ -29,10 +29,10 @@ def paper(context: click.Context, out: str, names: str, quick: bool, workers: in
 
     What is done is kept: an interrupted run goes on where it was.
     """
+    require_extra("report")
     from paper_repro.artefact import FULL, QUICK
     from prioritized_ik.validation import at_least
 
-    _require_extra()
     scale = QUICK if quick else FULL
     processes = at_least("workers", workers if workers is not None else os.cpu_count() or 1, 1)
     context.obj = (scale, Path(out), processes)
@@ -81,17 +81,6 @@ def check(given: "tuple[Scale, Path, int]") -> None:
     Console(width=None if os.isatty(1) else FILE_WIDTH).print(drawn)
     if any(finding.unexpected for finding in findings):
         raise SystemExit(DISAGREES)
-
-
-def _require_extra() -> None:
-    """Raise an `InputError` if what draws and writes is not installed."""
-    from importlib.util import find_spec
-
-    from prioritized_ik.errors import InputError
-
-    missing = [name for name in ("markdown_it", "matplotlib", "pylatexenc") if find_spec(name) is None]
-    if missing:
-        raise InputError(f"{', '.join(missing)} not installed; get the extra by: pip install 'prioritized-ik[report]'.")
 
 
 @contextmanager

@@ -3,12 +3,12 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from paper_repro.figure import COLOURS
+from prioritized_ik.errors import InputError
 from prioritized_ik.validation import Array
 from prioritized_ik.winding.picture import View, poses
 from prioritized_ik.winding.settings import WindingSettings
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 HALF_LENGTH = 1.0  # of the object as it is shown, in radii
 RIM = 48  # points on the rim of a cylinder
 ROOM = 0.012  # [m] around what a picture shows: a link's radius and a little more
-
-#: What MuJoCo and its window systems raise where they cannot render.
-CANNOT_RENDER = (mujoco.FatalError, RuntimeError, AttributeError, ImportError)
 
 
 def line_of_sight(settings: WindingSettings) -> tuple[float, float]:
@@ -70,7 +67,7 @@ def rendered(
             next(poses(settings, q[i : i + 1], in_contact[i : i + 1], view, resolution, HALF_LENGTH))
             for i, view in enumerate(views)
         ]
-    except CANNOT_RENDER:
+    except InputError:
         return None
 
 

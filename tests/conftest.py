@@ -1,3 +1,4 @@
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -7,6 +8,8 @@ import paths
 import pytest
 from tolerances import WELL_CONDITIONED
 
+from prioritized_ik import rendering
+from prioritized_ik.errors import InputError
 from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.virtual_arms import VirtualArms
 
@@ -17,6 +20,41 @@ KILLS = 2  # times that a comparison is killed unless told: a few seconds each
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--campaign", type=int, default=CAMPAIGN, metavar="N", help="problems a campaign solves")
     parser.addoption("--kills", type=int, default=KILLS, metavar="N", help="times that a comparison is killed")
+
+
+def _not_run(reporter: pytest.TerminalReporter) -> dict[str, int]:
+    """Why tests were skipped, and how many for each reason."""
+    reasons: dict[str, int] = {}
+    for report in reporter.stats.get("skipped", []):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        reasons[reason] = reasons.get(reason, 0) + 1
+    return reasons
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """List what was not run, last of all."""
+    reasons = _not_run(terminalreporter)
+    if reasons:
+        terminalreporter.section("not run")
+    for reason, count in reasons.items():
+        terminalreporter.line(f"{count} tests: {reason.removeprefix('Skipped: ')}")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
+    """Fail where something was not run in CI, whose machine must have all there is to have."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if os.environ.get("CI") == "true" and exitstatus == 0 and reporter is not None and _not_run(reporter):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+@pytest.fixture(scope="session")
+def renders() -> None:
+    """Skip a test that needs pictures where MuJoCo cannot render."""
+    try:
+        rendering.use_working_backend()
+    except InputError as error:
+        pytest.skip(str(error))
 
 
 @dataclass

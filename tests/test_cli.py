@@ -58,7 +58,7 @@ def test_wind_saves_an_episode_that_loads(tmp_path: Path) -> None:
     assert Episode.load(file).settings.direction == "back"
 
 
-def test_wind_with_strict_weights_winds_and_says_so_in_its_file(tmp_path: Path) -> None:
+def test_wind_with_strict_weights_winds_and_says_so_in_its_file(renders: None, tmp_path: Path) -> None:
     file = tmp_path / "episode.npz"
     places = ("--save", str(file), "--record", str(tmp_path / "end.png"))
     result = call("wind", "--link", "14", "--tilt", "0.3", "--weights", "strict", *places)
@@ -70,7 +70,7 @@ def test_wind_with_strict_weights_winds_and_says_so_in_its_file(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("kind", [".png", ".gif"])
-def test_wind_records_a_picture_with_the_arm_in_it(tmp_path: Path, kind: str) -> None:
+def test_wind_records_a_picture_with_the_arm_in_it(renders: None, tmp_path: Path, kind: str) -> None:
     from PIL import Image
 
     file = tmp_path / f"picture{kind}"

@@ -158,8 +158,9 @@ def slightly_off(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_free_steps_tell_a_solver_that_is_off_by_a_hundred_thousandth(monkeypatch):
+    recorded = free_steps()  # by the solver as it is
     slightly_off(monkeypatch)
-    assert worst_free_error(steps_of("osqp", free_steps())) > CLOSED_FORM_ERROR  # no zooms, which would mend it
+    assert worst_free_error(steps_of("osqp", recorded)) > CLOSED_FORM_ERROR  # no zooms, which would mend it
 
 
 def test_the_certified_steps_of_a_solver_that_is_off_by_a_hundred_thousandth_are_the_same_to_the_last_bit(monkeypatch):
@@ -387,20 +388,20 @@ def test_a_solver_that_fails_at_the_accuracy_asked_is_tried_once_more_at_a_loose
 
 def test_the_damped_qp_is_solved_once_with_default_options(monkeypatch):
     exact, seen = qpsolvers_.qpsolvers.solve_problem, []
+    stage = get_method("damped:proxqp").stage(constrained_steps()[0])
 
     def watched(problem, solver, **options):
         seen.append((problem, options))
         return exact(problem, solver, **options)
 
     monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", watched)
-    stage = get_method("damped:proxqp").stage(constrained_steps()[0])
     assert QpsolversBackend("proxqp", 1e-8).solve_once(stage).calls == 1
     assert seen == [(stage.problem, {})]
 
 
 def test_a_damped_qp_that_fails_is_not_tried_again(monkeypatch):
-    monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", Answers(None, found=False))
     stage = get_method("damped:proxqp").stage(constrained_steps()[0])
+    monkeypatch.setattr(qpsolvers_.qpsolvers, "solve_problem", Answers(None, found=False))
     assert QpsolversBackend("proxqp", 1e-8).solve_once(stage).calls == 1
 
 

@@ -16,7 +16,7 @@ ROOT = Path(prioritized_ik.__file__).parent
 #: A layer imports those before it; the entries of one layer do not import each other.
 LAYERS = [
     {"errors", "tolerances"},
-    {"validation", "files"},
+    {"validation", "files", "rendering"},
     {"models", "jacobians"},
     {"virtual_arms"},
     {"touch", "problem", "weights"},

@@ -31,6 +31,7 @@ from paper_repro.windings import (
     story,
     wound_to,
 )
+from prioritized_ik.errors import InputError
 from prioritized_ik.models import DIRECTIONS, Arm
 from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.winding.picture import View
@@ -244,7 +245,7 @@ def test_a_view_of_a_rectangle_shows_that_rectangle(sight):
     assert view.project(point) == pytest.approx(flat.project(point) - [0.55, -0.1])
 
 
-def test_the_rendered_arm_is_where_the_view_projects_it_and_the_rest_is_white():
+def test_the_rendered_arm_is_where_the_view_projects_it_and_the_rest_is_white(renders):
     chosen = settings("qp")
     q = chosen.arm.posture("arched")[None]
     ends = np.array(story(settings("qp", posture="arched", max_steps=1).to_json(), 2)["positions"][0])
@@ -260,23 +261,25 @@ def test_the_rendered_arm_is_where_the_view_projects_it_and_the_rest_is_white():
 
 
 def no_renderer(*arguments: object) -> None:
-    raise RuntimeError("no display")
+    raise InputError("cannot render here")
 
 
-@pytest.mark.parametrize("renders", [True, False])
-def test_figure_6_falls_back_to_lines_where_mujoco_cannot_render(renders, monkeypatch):
+@pytest.mark.parametrize("able", [True, False])
+def test_figure_6_falls_back_to_lines_where_mujoco_cannot_render(able, monkeypatch, request):
     monkeypatch.setattr(
         figure_6_windings,
         "winding",
         lambda direction, method, link: settings(method, direction=direction, link=14, tilt=0.3),
     )
-    if not renders:
+    if able:
+        request.getfixturevalue("renders")
+    else:
         monkeypatch.setattr(drawing3d, "poses", no_renderer)
     scale = Scale("quick", 1, 1, ("up",), None)
     results = Results({job.key: job() for job in figure_6_windings.jobs(scale)})
     panels = figure_6_windings.build(scale, results).axes
     assert len(panels) == len(figure_6_windings.SHOWN) * len(figure_6_windings.STAGES)
-    assert all(bool(panel.images) is renders and bool(panel.lines) is not renders for panel in panels)
+    assert all(bool(panel.images) is able and bool(panel.lines) is not able for panel in panels)
 
 
 def test_figures_of_penetration_and_of_weights_show_each_winding(monkeypatch):

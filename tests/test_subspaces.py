@@ -5,7 +5,6 @@ import pytest
 import scipy.optimize
 from tolerances import ROUNDING
 
-from prioritized_ik.solvers import subspaces
 from prioritized_ik.solvers.subspaces import (
     directions_left,
     divided,

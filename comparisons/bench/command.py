@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from comparisons.command import FILE_WIDTH
-from prioritized_ik.cli import writable_file
+from prioritized_ik.cli import require_extra, writable_file
 
 
 @click.command()
@@ -19,6 +19,7 @@ def bench(quick: bool, json_file: str | None, markdown_file: str | None, plot_fi
 
     The winding arm and six robots, one to six strict levels, certificate always on. Takes some minutes.
     """
+    require_extra("report" if plot_file is not None else "compare")
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
     from threadpoolctl import threadpool_limits

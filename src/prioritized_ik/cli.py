@@ -9,9 +9,20 @@ from typing import Any
 
 import click
 
-from prioritized_ik.errors import PrioritizedIkError
+from prioritized_ik.errors import MissingExtraError, PrioritizedIkError
 
 DISAGREES, BAD_INPUT = 1, 2  # exit codes
+
+
+#: Extras of this package, and what each brings that a command imports.
+EXTRAS = {
+    "cluster": ("dask", "distributed"),
+    "compare": ("mink", "polars"),
+    "mink": ("mink",),
+    "render": ("PIL",),
+    "report": ("cvxpy", "markdown_it", "matplotlib", "mink", "PIL", "polars", "pylatexenc"),
+    "solvers": ("cvxpy",),
+}
 
 
 class BadInput(click.ClickException):
@@ -109,12 +120,15 @@ def wind(
     if save is not None:
         writable_file(save)
     if record is not None:
+        require_extra("render")
+        from prioritized_ik.rendering import use_working_backend
         from prioritized_ik.winding.picture import kind_of
 
         kind_of(writable_file(record))
     if formulation is not None:
         unnamed = click.get_current_context().get_parameter_source("solver") is ParameterSource.DEFAULT
         solver = old_name("daqp" if unnamed and formulation != LEXICOGRAPHIC else solver, formulation)
+        use_working_backend()
     free = solver == CLOSED_FORM  # the closed form knows no limits
     settings = WindingSettings(
         arm=Arm(links=links),
@@ -154,6 +168,21 @@ def wind(
         click.echo(f"recorded     {record}")
     if episode.outcome is not Outcome.WOUND:
         raise SystemExit(DISAGREES)
+
+
+def require_extra(extra: str) -> None:
+    """Return if what an extra of this package brings is installed.
+
+    Raises:
+        PrioritizedIkError: it is not; the message says how to get it.
+    """
+    from importlib.util import find_spec
+
+    missing = [name for name in EXTRAS[extra] if find_spec(name) is None]
+    if missing:
+        raise MissingExtraError(
+            f"{', '.join(missing)} not installed; get the extra by: pip install 'prioritized-ik[{extra}]'."
+        )
 
 
 def writable_file(path: str) -> str:

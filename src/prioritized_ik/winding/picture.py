@@ -1,4 +1,4 @@
-"""Pictures of an episode, rendered by MuJoCo off screen (set MUJOCO_GL=egl or osmesa where there is no display)."""
+"""Pictures of an episode, rendered by MuJoCo off screen, with the backend that works here (`rendering`)."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.errors import InputError
 from prioritized_ik.files import advising, write_whole
 from prioritized_ik.models import WindingObject, update_kinematics
+from prioritized_ik.rendering import use_working_backend
 from prioritized_ik.validation import Array, one_of
 from prioritized_ik.winding.episode import Episode
 from prioritized_ik.winding.settings import WindingSettings
@@ -114,6 +114,7 @@ def _drawn(
     model.geom_rgba[model.geom("object").id, 3] = 0.5
     colours = model.geom_rgba[links].copy()
     width, height = model.vis.global_.offwidth, model.vis.global_.offheight
+    use_working_backend()
     with mujoco.Renderer(model, height, width) as renderer:
         for position, touching in zip(q, in_contact, strict=True):
             model.geom_rgba[links] = np.where(touching[:, None], TOUCHING, colours)
@@ -139,12 +140,7 @@ def record(episode: Episode, path: str | Path) -> None:
     kind = kind_of(path)
     last = len(episode.q) - 1
     steps = [last] if kind == ".png" else [round(s) for s in np.linspace(0, last, min(FRAMES, last + 1))]
-    try:
-        pictures = [Image.fromarray(frame) for frame in frames(episode, steps)]
-    except (mujoco.FatalError, RuntimeError, AttributeError, ImportError) as error:
-        raise InputError(
-            f"cannot render here ({error}); without a display set MUJOCO_GL=egl (Debian: libegl1 and libgl1-mesa-dri)."
-        ) from error
+    pictures = [Image.fromarray(frame) for frame in frames(episode, steps)]
     rest = {"save_all": kind == ".gif", "append_images": pictures[1:], "duration": FRAME_MILLISECONDS, "loop": 0}
     with advising("write", path):
         write_whole(path, lambda file: pictures[0].save(file, kind[1:], **rest))
