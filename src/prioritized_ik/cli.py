@@ -125,10 +125,10 @@ def wind(
         from prioritized_ik.winding.picture import kind_of
 
         kind_of(writable_file(record))
+        use_working_backend()
     if formulation is not None:
         unnamed = click.get_current_context().get_parameter_source("solver") is ParameterSource.DEFAULT
         solver = old_name("daqp" if unnamed and formulation != LEXICOGRAPHIC else solver, formulation)
-        use_working_backend()
     free = solver == CLOSED_FORM  # the closed form knows no limits
     settings = WindingSettings(
         arm=Arm(links=links),
