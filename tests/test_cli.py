@@ -47,7 +47,7 @@ def test_solvers_lists_what_is_installed_and_how_to_install_the_rest() -> None:
     assert result.exit_code == 0
     assert "proxqp" in result.output
     assert "pip install" in result.output
-    assert f"active-set runs {'compiled' if library().core is not None else 'in Python'}" in result.output
+    assert f"The kernel runs {'compiled' if library().core is not None else 'in Python'}" in result.output
 
 
 def test_wind_saves_an_episode_that_loads(tmp_path: Path) -> None:

@@ -169,7 +169,7 @@ def test_a_solver_that_is_not_installed_is_a_method_that_fails(monkeypatch: pyte
     monkeypatch.setitem(weight_ratio.METHODS, method, partial(weight_ratio.by_slack_qp, "none"))
     (row,) = [row for row in weight_ratio.measure() if row.method == method]
     assert row.dtheta is None
-    assert row.failure.startswith("unknown solver 'none'")
+    assert row.failure.startswith("unknown solver 'slack:none'")
 
 
 def test_strict_levels_by_the_qp_need_no_ratio(ratios: tuple[str, dict[str, Any]]) -> None:
