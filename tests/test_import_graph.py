@@ -21,6 +21,7 @@ LAYERS = [
     {"virtual_arms"},
     {"touch", "problem", "weights"},
     {"limits", "live"},
+    {"robot"},
     {"solvers"},
     {"winding", "mink"},
     {"cli", "comparisons", "paper_repro"},

@@ -7,6 +7,9 @@ from .models import update_kinematics as update_kinematics
 from .virtual_arms import EndPoint as EndPoint
 from .virtual_arms import VirtualArms as VirtualArms
 
+# robot
+from .robot import Robot as Robot
+
 # problem
 from .problem import Bounds as Bounds
 from .problem import Equalities as Equalities
