@@ -22,6 +22,7 @@ LAYERS = [
     {"touch", "problem", "weights"},
     {"limits", "live"},
     {"robot"},
+    {"tasks"},
     {"solvers"},
     {"winding", "mink"},
     {"cli", "comparisons", "paper_repro"},

@@ -10,6 +10,17 @@ from .virtual_arms import VirtualArms as VirtualArms
 # robot
 from .robot import Robot as Robot
 
+# tasks
+from .tasks.position import Position as Position
+from .tasks.orientation import Orientation as Orientation
+from .tasks.pose import Pose as Pose
+from .tasks.axis import Axis as Axis
+from .tasks.axis import LookAt as LookAt
+from .tasks.centre_of_mass import CentreOfMass as CentreOfMass
+from .tasks.posture import Posture as Posture
+from .tasks.joint_coupling import JointCoupling as JointCoupling
+from .tasks.task import Task as Task
+
 # problem
 from .problem import Bounds as Bounds
 from .problem import Equalities as Equalities
