@@ -22,8 +22,11 @@ LAYERS = [
     {"touch", "problem", "weights"},
     {"limits", "live"},
     {"robot"},
-    {"tasks"},
+    {"tasks", "guard", "examples"},
+    {"joint_limits", "collision"},
     {"solvers"},
+    {"motion"},
+    {"reaching"},
     {"winding", "mink"},
     {"cli", "comparisons", "paper_repro"},
 ]

@@ -9,6 +9,7 @@ from .virtual_arms import VirtualArms as VirtualArms
 
 # robot
 from .robot import Robot as Robot
+from .examples import example as example
 
 # tasks
 from .tasks.position import Position as Position
@@ -33,6 +34,10 @@ from .limits import contact_rows as contact_rows
 from .limits import joint_metric as joint_metric
 from .limits import joint_range_bounds as joint_range_bounds
 from .limits import step_bounds as step_bounds
+from .guard import Limit as Limit
+from .joint_limits import JointRange as JointRange
+from .joint_limits import Velocity as Velocity
+from .collision import Collision as Collision
 
 # solve
 from .solvers.lexicographic import SolveOptions as SolveOptions
@@ -48,6 +53,13 @@ from .solvers.step import StepStatus as StepStatus
 from .solvers.certificate import Certificate as Certificate
 from .solvers.certificate import certify as certify
 from .solvers.explain import explain as explain
+
+# motion
+from .motion import Motion as Motion
+from .motion import solve_step as solve_step
+from .reaching import Ending as Ending
+from .reaching import Reached as Reached
+from .reaching import reach as reach
 
 # winding
 from .winding.settings import WindingSettings as WindingSettings

@@ -1,6 +1,7 @@
 """A robot of any MuJoCo model: its state, its parts by name or number, its frames and their Jacobians."""
 
 import difflib
+import fnmatch
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -120,6 +121,14 @@ class Robot:
     def geom(self, which: str | int) -> int:
         """Return the number of a geom, by name or number; most geoms of real models have no name."""
         return self._number("geom", which)
+
+    def geoms(self, which: str | int) -> list[int]:
+        """Return the numbers of geoms, by name, by pattern such as `left*`, or by number."""
+        if isinstance(which, str) and any(mark in which for mark in "*?["):
+            found = [number for number, name in enumerate(self.names("geom")) if fnmatch.fnmatchcase(name, which)]
+            if found:
+                return found
+        return [self.geom(which)]
 
     def names(self, kind: str) -> list[str]:
         """Return what the parts of a kind are called: their name, or for instance `geom 3` where they have none."""
