@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 
 from prioritized_ik import (
+    CentreOfMass,
     Collision,
     Ending,
     InputError,
     JointRange,
     Orientation,
+    Pose,
     Position,
     Posture,
     Robot,
@@ -205,13 +207,39 @@ def test_reach_ends_out_of_steps():
     assert (end.ending, end.steps) == (Ending.OUT_OF_STEPS, 3)
 
 
-def test_a_level_below_does_not_disturb_one_above():
+CROUCH = {"hip pitch": -0.5, "knee": 1.0, "ankle pitch": -0.5, "elbow": -0.8}
+
+
+@pytest.mark.parametrize("further", [0.05, 0.8])
+@pytest.mark.parametrize("crouched", [False, True], ids=["straight", "crouched"])
+def test_a_humanoid_keeps_feet_and_balance_strictly_and_comes_to_rest(crouched, further):
     robot = example("humanoid")
-    feet = [Position(robot, site="left foot"), Position(robot, site="right foot")]
-    hand = Position(robot, site="left hand", gain=0.2)
-    hand.target = hand.target + np.array([0.8, 0.0, 0.0])
-    _run(robot, [feet, hand, Posture(robot, gain=0.1)], [JointRange(robot), Velocity(robot, 2.0)], 150)
-    assert max(np.linalg.norm(foot.rows(robot)[1]) for foot in feet) < 1e-4
+    if crouched:
+        q = robot.q
+        for joint, angle in CROUCH.items():
+            for side in ("left", "right"):
+                q[robot.model.jnt_qposadr[robot.joint(f"{side} {joint}")]] = angle
+        robot.update(q)
+    feet = [Pose(robot, site=f"{side} foot") for side in ("left", "right")]
+    balance = CentreOfMass(robot, gain=0.2)
+    hands = [Position(robot, site=f"{side} hand", gain=0.2) for side in ("left", "right")]
+    for hand in hands:
+        hand.target = hand.target + np.array([further, 0.0, 0.0])
+    levels = [feet, balance, hands, Posture(robot, gain=0.1)]
+    velocities = _run(robot, levels, [JointRange(robot), Velocity(robot, 2.0)], 300)
+    assert max(np.abs(task.rows(robot)[1]).max() for task in [*feet, balance]) < 1e-4
+    assert np.abs(np.diff(velocities[-50:], axis=0) / DT).max() < 1.0
+    if crouched and further == 0.05:
+        assert max(np.linalg.norm(hand.rows(robot)[1]) for hand in hands) < 1e-6
+
+
+def test_reach_says_which_joint_is_at_its_stop():
+    robot = _bent_arm()
+    turned = Posture(robot, [0.3, 0.5, 0.2, -0.4, 0.1, 0.6, 0.0], gain=0.5)
+    end = reach(robot, [turned], [JointRange(robot)])
+    assert end.ending is Ending.STUCK, str(end)
+    assert end.held_by == ("elbow lower",)
+    assert end.nearest == pytest.approx(0.4, abs=1e-6)
 
 
 BAD = {

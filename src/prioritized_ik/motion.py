@@ -10,13 +10,13 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.guard import Guarded, Limit
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
 from prioritized_ik.robot import Robot
-from prioritized_ik.solvers.damping import strains
 from prioritized_ik.solvers.explain import Concession, explain
 from prioritized_ik.solvers.methods import DAMPING, Method
 from prioritized_ik.solvers.registry import DEFAULT
 from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.tasks.task import Task
+from prioritized_ik.tolerances import NOISE
 from prioritized_ik.validation import Array, non_negative, positive
 
 Levels = Sequence[Task | Sequence[Task]]
@@ -92,7 +92,8 @@ def solve_step(
     A level whose tasks leave errors e is damped by δ = `damping` Σ ℓ ‖W e‖, with ℓ the size of the rows' second
     derivatives (`Task.lever`), added to that of the levels above. That is what Gauss-Newton leaves out: out of reach, the
     robot comes to rest instead of swinging, and near the target nothing is damped. Where damping takes more than half of
-    a level's weakest direction, levels below get none of what the level leaves.
+    a level's weakest direction, alone or among those that the levels above leave, levels below get nothing: they would
+    swing in a null space that turns from step to step.
 
     Args:
         robot: up to date; it does not move.
@@ -114,6 +115,7 @@ def solve_step(
 
 def _task_levels(robot: Robot, groups: list[list[Task]], damping: float) -> Iterator[Level]:
     shared, root = 0.0, np.sqrt(robot.metric)
+    left = np.eye(robot.model.nv)  # what the levels above leave free
     for number, tasks in enumerate(groups, 1):
         if not tasks:
             continue
@@ -123,14 +125,33 @@ def _task_levels(robot: Robot, groups: list[list[Task]], damping: float) -> Iter
         own = damping * sum(task.lever(robot) * float(np.linalg.norm(task.weights * task.gain * e)) for task, _, e in rows)
         shared += own
         last = number == len(groups)  # nobody needs what it leaves
+        counted = np.sqrt(weights[weights > 0.0])[:, None] * (matrix[weights > 0.0] / root)
+        within, inside = _directions(counted @ left)
+        weakest = min(_weakest(counted), float(within.min(initial=np.inf)))
+        strained = weakest**2 < own
         yield Level(
             matrix,
             np.concatenate([task.gain * error for task, _, error in rows]),
             weights,
             name=" + ".join(task.name for task in tasks),
             damping=shared if shared > DAMPING else 0.0,
-            below="hold" if last or strains(matrix / root, weights, own) else "free",
+            below="hold" if last or strained else "free",
         )
+        left = left @ inside
+
+
+def _weakest(rows: Array) -> float:
+    """Return the smallest singular value of rows `(k, n)`, zero of a robot that is stretched out."""
+    return float(np.linalg.svd(rows, compute_uv=False).min(initial=np.inf))
+
+
+def _directions(rows: Array) -> tuple[Array, Array]:
+    """Return the singular values of rows `(k, n)` that are no rounding, and an orthonormal basis of what they leave."""
+    if not rows.size:
+        return np.zeros(0), np.eye(rows.shape[1])
+    _, values, directions = np.linalg.svd(rows)
+    rank = int(np.count_nonzero(values > NOISE))
+    return values[:rank], directions[rank:].T
 
 
 def _joined_recovery(guards: Sequence[Guarded]) -> list[Rows]:

@@ -20,7 +20,6 @@ from mink.tasks import BaseTask
 from prioritized_ik.errors import InputError
 from prioritized_ik.mink.names import task_name
 from prioritized_ik.problem import Level
-from prioritized_ik.solvers.damping import strains
 from prioritized_ik.solvers.methods import DAMPING
 from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array
@@ -96,7 +95,7 @@ def levels_of(
         matrix = np.vstack([np.zeros((0, configuration.nv)), *(part.matrix for part in parts)])
         weights = np.concatenate([np.zeros(0), *(part.weights for part in parts)])
         last = number == len(groups)  # nobody needs what it leaves: one solve instead of two
-        holds = last or (below == "hold" and strains(matrix, weights, own))
+        holds = last or (below == "hold" and _strains(matrix, weights, own))
         levels.append(
             Level(
                 matrix,
@@ -108,6 +107,14 @@ def levels_of(
             )
         )
     return levels
+
+
+def _strains(matrix: Array, weights: Array, damping: float) -> bool:
+    """Whether `damping` takes more than half of a level's weakest direction: σ² of W^½ J is below it."""
+    if not damping:
+        return False
+    rows = np.sqrt(weights)[:, None] * matrix
+    return float(np.linalg.svd(rows, compute_uv=False)[-1]) ** 2 < damping
 
 
 def objective(configuration: mink.Configuration, task: BaseTask) -> Objective:

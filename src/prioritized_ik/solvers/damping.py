@@ -9,19 +9,8 @@ directions stays as calm as the damping makes it, and every motion that does not
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from prioritized_ik.problem import IKProblem, Level, replaced
 from prioritized_ik.solvers.step import JointStep
-from prioritized_ik.validation import Array
-
-
-def strains(matrix: Array, weights: Array, damping: float) -> bool:
-    """Whether `damping` takes more than half of a level's weakest direction: σ² of W^½ J is below it."""
-    if not damping or not len(matrix):
-        return False
-    rows = np.sqrt(weights)[:, None] * matrix
-    return float(np.linalg.svd(rows, compute_uv=False)[-1]) ** 2 < damping
 
 
 def handed_down(problem: IKProblem, solve: Callable[[IKProblem], JointStep]) -> IKProblem | JointStep:
