@@ -17,7 +17,7 @@ SHAPES = {
 }
 XML = """
 <mujoco><asset><mesh name="wedge" vertex="0 0 0  0.2 0 0  0 0.2 0  0 0 0.2"/></asset><worldbody>
-<body pos="0 0 0.3"><joint type="slide" axis="1 0.2 0"/><joint axis="0 1 0.3"/><joint type="ball"/>
+<body pos="0 0 0.3"><joint type="slide" axis="1 0.2 0"/><joint type="ball" pos="0 0 0.1"/>
 <geom type="{hand}" size="0.05 0.08 0.06" pos="0 0 -0.05" euler="20 30 40"/></body>
 <body pos="0.03 0.02 0"><joint type="{other}" axis="1 0.1 0"/><geom {shape} euler="10 20 5" mass="1"/></body>
 </worldbody></mujoco>
