@@ -1,7 +1,7 @@
 """Robots at random configurations with mink's own tasks and limits, on which mink and its drop-in are compared.
 
-The robots in `data/robots` are the project's own, one for each kind of joint and coupling. A seed decides everything
-random: where the joints are, what is drawn where, gains and damping.
+The robots in `data/robots` and in the package are the project's own, one for each kind of joint and coupling. A seed
+decides everything random: where the joints are, what is drawn where, gains and damping.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from mink.tasks import BaseTask
 
+from prioritized_ik.examples import example_model
 from prioritized_ik.models import Arm
 from prioritized_ik.validation import Array
 
@@ -55,12 +56,12 @@ def _own(name: str) -> Callable[[], mujoco.MjModel]:
 
 #: The project's own robots, and the paper's arm.
 MACHINES = (
-    Machine("arm", _own("arm"), (("tool", "site"),), ((("hand",), ("post", "table")),)),
+    Machine("arm", cache(lambda: example_model("arm")), (("tool", "site"),), ((("hand",), ("post", "table")),)),
     Machine("mobile arm", _own("mobile"), (("tool", "site"),)),
     Machine("gantry", _own("gantry"), (("tool", "site"),)),
     Machine(
         "biped",
-        _own("biped"),
+        cache(lambda: example_model("humanoid")),
         (("left foot", "site"), ("right foot", "site"), ("left hand", "site"), ("right hand", "site"), ("chest", "site")),
     ),
     Machine("ball joints", _own("ball"), (("tool", "site"), ("back", "body"))),

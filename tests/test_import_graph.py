@@ -21,7 +21,12 @@ LAYERS = [
     {"virtual_arms"},
     {"touch", "problem", "weights"},
     {"limits", "live"},
+    {"robot"},
+    {"tasks", "guard", "examples"},
+    {"joint_limits", "collision"},
     {"solvers"},
+    {"motion"},
+    {"reaching"},
     {"winding", "mink"},
     {"cli", "comparisons", "paper_repro"},
 ]

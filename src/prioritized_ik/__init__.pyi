@@ -7,6 +7,21 @@ from .models import update_kinematics as update_kinematics
 from .virtual_arms import EndPoint as EndPoint
 from .virtual_arms import VirtualArms as VirtualArms
 
+# robot
+from .robot import Robot as Robot
+from .examples import example as example
+
+# tasks
+from .tasks.position import Position as Position
+from .tasks.orientation import Orientation as Orientation
+from .tasks.pose import Pose as Pose
+from .tasks.axis import Axis as Axis
+from .tasks.axis import LookAt as LookAt
+from .tasks.centre_of_mass import CentreOfMass as CentreOfMass
+from .tasks.posture import Posture as Posture
+from .tasks.joint_coupling import JointCoupling as JointCoupling
+from .tasks.task import Task as Task
+
 # problem
 from .problem import Bounds as Bounds
 from .problem import Equalities as Equalities
@@ -19,6 +34,10 @@ from .limits import contact_rows as contact_rows
 from .limits import joint_metric as joint_metric
 from .limits import joint_range_bounds as joint_range_bounds
 from .limits import step_bounds as step_bounds
+from .guard import Limit as Limit
+from .joint_limits import JointRange as JointRange
+from .joint_limits import Velocity as Velocity
+from .collision import Collision as Collision
 
 # solve
 from .solvers.lexicographic import SolveOptions as SolveOptions
@@ -34,6 +53,13 @@ from .solvers.step import StepStatus as StepStatus
 from .solvers.certificate import Certificate as Certificate
 from .solvers.certificate import certify as certify
 from .solvers.explain import explain as explain
+
+# motion
+from .motion import Motion as Motion
+from .motion import solve_step as solve_step
+from .reaching import Ending as Ending
+from .reaching import Reached as Reached
+from .reaching import reach as reach
 
 # winding
 from .winding.settings import WindingSettings as WindingSettings

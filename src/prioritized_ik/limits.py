@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Rows, trusted
 from prioritized_ik.touch import Touch, TouchSensor
-from prioritized_ik.validation import Array, finite_array, non_negative, positive
+from prioritized_ik.validation import Array, finite_array, gain_of, non_negative, positive
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 OUTSIDE = 1e-4  # [rad] a joint this far outside its range is rounding of accepted steps; further is an error
@@ -115,8 +115,7 @@ def contact_rows(
         gain: how much of the remaining gap one step may close, in (0, 1].
         margin: only links nearer than this get a row [m].
     """
-    if not 0.0 < gain <= 1.0:
-        raise InputError(f"gain is {gain!r}; expected a number above 0 and up to 1.")
+    gain_of("gain", gain)
     non_negative("min_distance", min_distance)
     near = np.flatnonzero(touch.distance < positive("margin", margin))
     distance, normal, point = touch.distance[near], touch.normal[near], touch.point[near]

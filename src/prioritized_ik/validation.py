@@ -44,6 +44,13 @@ def fraction(name: str, value: float, *, below: float = 1.0) -> float:
     return float(value)
 
 
+def gain_of(name: str, value: float) -> float:
+    """Return `value` as a float if it is above zero and at most 1."""
+    if not 0.0 < _number(value) <= 1.0:
+        raise InputError(f"{name} is {value!r}; expected a number above 0 and up to 1.")
+    return float(value)
+
+
 def tolerance_above_rounding(name: str, value: float) -> float:
     """Return `value` as a float if it is a fraction that doubles can tell from rounding."""
     if 0.0 < _number(value) < ROUNDING:

@@ -1,0 +1,175 @@
+"""One step of a robot: levels of tasks in strict order, under limits."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.guard import Guarded, Limit
+from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
+from prioritized_ik.robot import Robot
+from prioritized_ik.solvers.explain import Concession, explain
+from prioritized_ik.solvers.methods import DAMPING, Method
+from prioritized_ik.solvers.registry import DEFAULT
+from prioritized_ik.solvers.solve import solve
+from prioritized_ik.solvers.step import JointStep
+from prioritized_ik.tasks.task import Task
+from prioritized_ik.tolerances import NOISE
+from prioritized_ik.validation import Array, non_negative, positive
+
+Levels = Sequence[Task | Sequence[Task]]
+
+RECOVERY = "recovery of limits"  # what the level above all tasks is called
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A step of a robot.
+
+    Attributes:
+        velocity: `(nv,)` [rad/s, m/s for slides], for `Robot.integrate`.
+        step: dθ and its certificate.
+        problem: what was solved.
+    """
+
+    velocity: Array
+    step: JointStep
+    problem: IKProblem
+
+    @cached_property
+    def report(self) -> tuple[Concession, ...]:
+        """Which level gave way, by how much, and to what; worked out when first looked at, at the cost of some solves."""
+        return explain(self.problem, self.step)
+
+
+def grouped(levels: Levels) -> list[list[Task]]:
+    """Return the tasks of each level, the most important first; a task by itself is a level.
+
+    Raises:
+        InputError: something that is no task.
+    """
+    if not isinstance(levels, Sequence):
+        raise InputError(f"levels is {levels!r}; expected a list of tasks, or of lists of tasks, one a level.")
+    groups = [[entry] if isinstance(entry, Task) else entry for entry in levels]
+    for group in groups:
+        if not isinstance(group, list | tuple) or not all(isinstance(task, Task) for task in group):
+            raise InputError(f"levels hold {group!r}; expected tasks, or lists of tasks, one a level.")
+    return [list(group) for group in groups]
+
+
+def build_problem(
+    robot: Robot, levels: Levels, limits: Sequence[Limit] = (), dt: float = 0.01, *, damping: float = 1.0
+) -> IKProblem:
+    """Return the problem of the next step dθ `(nv,)`, without solving it; see `solve_step`."""
+    positive("dt", dt)
+    groups = grouped(levels)
+    guards = [_limit(limit).at(robot, dt) for limit in limits]
+    bounds = Bounds.none(robot.model.nv)
+    for guard in guards:
+        bounds = guard.bounds.intersect(bounds) if guard.bounds is not None else bounds
+    recovery = [Level(rows.matrix, rows.upper, name=RECOVERY, kind="at_most") for rows in _joined_recovery(guards)]
+    return IKProblem(
+        [*recovery, *_task_levels(robot, groups, non_negative("damping", damping))],
+        bounds,
+        _stacked([guard.rows for guard in guards if guard.rows is not None], robot.model.nv),
+        metric=robot.metric,
+    )
+
+
+def solve_step(
+    robot: Robot,
+    levels: Levels,
+    limits: Sequence[Limit] = (),
+    dt: float = 0.01,
+    *,
+    damping: float = 1.0,
+    solver: str | Method = DEFAULT,
+) -> Motion:
+    """Return the robot's next step: every level of tasks among the optima of those above it, under all limits.
+
+    A level whose tasks leave errors e is damped by δ = `damping` Σ ℓ ‖W e‖, with ℓ the size of the rows' second
+    derivatives (`Task.lever`), added to that of the levels above. That is what Gauss-Newton leaves out: out of reach, the
+    robot comes to rest instead of swinging, and near the target nothing is damped. Where damping takes more than half of
+    a level's weakest direction, alone or among those that the levels above leave, levels below get nothing: they would
+    swing in a null space that turns from step to step.
+
+    Args:
+        robot: up to date; it does not move.
+        levels: the most important first: a task, or a list of tasks that share a level by their weights.
+        limits: such as `JointRange`, `Velocity` and `Collision`.
+        dt: time step [s].
+        damping: 0 for none, 1 for as much as the curvature may need.
+        solver: see `solve`.
+
+    Raises:
+        InputError: an argument out of range or of another model.
+        StepNotFoundError: see `solve`.
+    """
+    problem = build_problem(robot, levels, limits, dt, damping=damping)
+    step = solve(problem, solver)
+    assert step.dtheta is not None
+    return Motion(step.dtheta / dt, step, problem)
+
+
+def _task_levels(robot: Robot, groups: list[list[Task]], damping: float) -> Iterator[Level]:
+    shared, root = 0.0, np.sqrt(robot.metric)
+    left = np.eye(robot.model.nv)  # what the levels above leave free
+    for number, tasks in enumerate(groups, 1):
+        if not tasks:
+            continue
+        rows = [(task, *task.rows(robot)) for task in tasks]
+        matrix = np.vstack([jacobian for _, jacobian, _ in rows])
+        weights = np.concatenate([task.weights for task in tasks])
+        own = damping * sum(task.lever(robot) * float(np.linalg.norm(task.weights * task.gain * e)) for task, _, e in rows)
+        shared += own
+        last = number == len(groups)  # nobody needs what it leaves
+        counted = np.sqrt(weights[weights > 0.0])[:, None] * (matrix[weights > 0.0] / root)
+        within, inside = _directions(counted @ left)
+        weakest = min(_weakest(counted), float(within.min(initial=np.inf)))
+        strained = weakest**2 < own
+        yield Level(
+            matrix,
+            np.concatenate([task.gain * error for task, _, error in rows]),
+            weights,
+            name=" + ".join(task.name for task in tasks),
+            damping=shared if shared > DAMPING else 0.0,
+            below="hold" if last or strained else "free",
+        )
+        left = left @ inside
+
+
+def _weakest(rows: Array) -> float:
+    """Return the smallest singular value of rows `(k, n)`, zero of a robot that is stretched out."""
+    return float(np.linalg.svd(rows, compute_uv=False).min(initial=np.inf))
+
+
+def _directions(rows: Array) -> tuple[Array, Array]:
+    """Return the singular values of rows `(k, n)` that are no rounding, and an orthonormal basis of what they leave."""
+    if not rows.size:
+        return np.zeros(0), np.eye(rows.shape[1])
+    _, values, directions = np.linalg.svd(rows)
+    rank = int(np.count_nonzero(values > NOISE))
+    return values[:rank], directions[rank:].T
+
+
+def _joined_recovery(guards: Sequence[Guarded]) -> list[Rows]:
+    rows = [rows for guard in guards for rows in guard.recovery]
+    return [_stacked(rows, rows[0].matrix.shape[1])] if rows else []
+
+
+def _stacked(parts: Sequence[Rows], m: int) -> Rows:
+    if not parts:
+        return Rows.none(m)
+    return Rows(
+        np.vstack([part.matrix for part in parts]),
+        np.concatenate([part.upper for part in parts]),
+        [name for part in parts for name in part.names],
+    )
+
+
+def _limit(limit: Limit) -> Limit:
+    if not isinstance(limit, Limit):
+        raise InputError(f"limits hold {limit!r}; expected limits such as JointRange, Velocity and Collision.")
+    return limit

@@ -1,0 +1,205 @@
+"""A robot of any MuJoCo model: its state, its parts by name or number, its frames and their Jacobians."""
+
+import difflib
+import fnmatch
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from prioritized_ik.errors import InputError, ModelError
+from prioritized_ik.limits import joint_metric
+from prioritized_ik.validation import Array, finite_array, non_negative
+
+#: Kinds of parts that are found by name or number.
+KINDS = {
+    "joint": mujoco.mjtObj.mjOBJ_JOINT,
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "site": mujoco.mjtObj.mjOBJ_SITE,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+}
+_COUNTS = {"joint": "njnt", "body": "nbody", "site": "nsite", "geom": "ngeom"}
+LISTED = 20  # names in a message; robots have hundreds
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame fixed to a body: its `kind` (`"body"`, `"site"` or `"geom"`), its number there, and its name."""
+
+    kind: str
+    number: int
+    name: str
+
+
+class Robot:
+    """A MuJoCo model at a position.
+
+    Args:
+        model: any MuJoCo model; not changed.
+        q: position `(nq,)`; the model's `qpos0` unless given.
+
+    Attributes:
+        model: the model.
+        data: its state, up to date with `q`.
+
+    Raises:
+        InputError: something else than a model, or a position of another length.
+    """
+
+    def __init__(self, model: mujoco.MjModel, q: ArrayLike | None = None) -> None:
+        if not isinstance(model, mujoco.MjModel):
+            raise InputError(
+                f"model is of type {type(model).__name__}; expected a mujoco.MjModel, or use Robot.load(file)."
+            )
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.update(model.qpos0 if q is None else q)
+
+    @classmethod
+    def load(cls, path: str | Path, q: ArrayLike | None = None) -> "Robot":
+        """Return the robot of an MJCF or URDF file.
+
+        Raises:
+            ModelError: no such file, one that MuJoCo cannot read, or a URDF with `package://` paths.
+        """
+        file = Path(path)
+        if not file.is_file():
+            raise ModelError(f"there is no file {str(path)!r}; expected an MJCF (.xml) or URDF (.urdf) file.")
+        if file.suffix == ".urdf" and "package://" in file.read_text(encoding="utf-8"):
+            raise ModelError(
+                f"{file.name} has package:// paths, which only ROS can resolve; replace them by paths relative to the file."
+            )
+        try:
+            model = mujoco.MjModel.from_xml_path(str(file))
+        except ValueError as error:
+            raise ModelError(f"MuJoCo cannot read {file.name}: {error}") from error
+        return cls(model, q)
+
+    @property
+    def q(self) -> Array:
+        """The position `(nq,)`, a copy."""
+        return np.array(self.data.qpos)
+
+    @property
+    def metric(self) -> Array:
+        """Diagonal joint metric `(nv,)` in which metres and radians are of one size, see `joint_metric`."""
+        return joint_metric(self.model)
+
+    def update(self, q: ArrayLike | None = None) -> None:
+        """Bring positions, centres of mass and tendons up to date, at `q` `(nq,)` if given.
+
+        Raises:
+            InputError: a position of another length, or not finite.
+        """
+        if q is not None:
+            self.data.qpos[:] = self._position(q)
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_tendon(self.model, self.data)
+
+    def integrate(self, velocity: ArrayLike, dt: float) -> Array:
+        """Move by `velocity` `(nv,)` [rad/s, m/s] over `dt` [s], and return the new position `(nq,)`."""
+        q = self.q
+        mujoco.mj_integratePos(self.model, q, finite_array("velocity", velocity, (self.model.nv,)), non_negative("dt", dt))
+        self.update(q)
+        return q
+
+    def joint(self, which: str | int) -> int:
+        """Return the number of a joint, by name or number."""
+        return self._number("joint", which)
+
+    def body(self, which: str | int) -> int:
+        """Return the number of a body, by name or number."""
+        return self._number("body", which)
+
+    def site(self, which: str | int) -> int:
+        """Return the number of a site, by name or number."""
+        return self._number("site", which)
+
+    def geom(self, which: str | int) -> int:
+        """Return the number of a geom, by name or number; most geoms of real models have no name."""
+        return self._number("geom", which)
+
+    def geoms(self, which: str | int) -> list[int]:
+        """Return the numbers of geoms, by name, by pattern such as `left*`, or by number."""
+        if isinstance(which, str) and any(mark in which for mark in "*?["):
+            found = [number for number, name in enumerate(self.names("geom")) if fnmatch.fnmatchcase(name, which)]
+            if found:
+                return found
+        return [self.geom(which)]
+
+    def names(self, kind: str) -> list[str]:
+        """Return what the parts of a kind are called: their name, or for instance `geom 3` where they have none."""
+        count = getattr(self.model, _COUNTS[kind])
+        return [mujoco.mj_id2name(self.model, KINDS[kind], number) or f"{kind} {number}" for number in range(count)]
+
+    def dofs(self, joint: str | int) -> slice:
+        """Return the degrees of freedom of a joint."""
+        number = self.joint(joint)
+        ends = [*self.model.jnt_dofadr.tolist(), self.model.nv]
+        return slice(ends[number], ends[number + 1])
+
+    def frame(
+        self, *, body: str | int | None = None, site: str | int | None = None, geom: str | int | None = None
+    ) -> Frame:
+        """Return the frame of one body, site or geom.
+
+        Raises:
+            InputError: none or several given, or one that does not exist.
+        """
+        given = [(kind, which) for kind, which in (("body", body), ("site", site), ("geom", geom)) if which is not None]
+        if len(given) != 1:
+            raise InputError(f"{len(given)} frames were given; expected one of body=, site= and geom=, by name or number.")
+        kind, which = given[0]
+        number = self._number(kind, which)
+        return Frame(kind, number, self.names(kind)[number])
+
+    def position(self, frame: Frame) -> Array:
+        """Return where a frame's origin is in the world `(3,)` [m]."""
+        place = getattr(self.data, {"body": "xpos", "site": "site_xpos", "geom": "geom_xpos"}[frame.kind])
+        return np.array(place[frame.number])
+
+    def rotation(self, frame: Frame) -> Array:
+        """Return the rotation matrix `(3, 3)` of a frame; its columns are the frame's axes in the world."""
+        turn = getattr(self.data, {"body": "xmat", "site": "site_xmat", "geom": "geom_xmat"}[frame.kind])
+        return np.array(turn[frame.number]).reshape(3, 3)
+
+    def jacobians(self, frame: Frame) -> tuple[Array, Array]:
+        """Return the Jacobians of a frame's origin [m] and of its rotation [rad], each `(3, nv)`, in the world's axes."""
+        linear, angular = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
+        mujoco.mj_jac(self.model, self.data, linear, angular, self.position(frame), self._carrier(frame))
+        return linear, angular
+
+    def _carrier(self, frame: Frame) -> int:
+        if frame.kind == "body":
+            return frame.number
+        return int(getattr(self.model, f"{frame.kind}_bodyid")[frame.number])
+
+    def _position(self, q: ArrayLike) -> Array:
+        given = np.shape(q)
+        if given != (self.model.nq,):
+            raise InputError(
+                f"q has shape {given}; expected ({self.model.nq},): the model has nq = {self.model.nq} positions and "
+                f"nv = {self.model.nv} velocities."
+            )
+        return finite_array("q", q, (self.model.nq,))
+
+    def _number(self, kind: str, which: str | int) -> int:
+        count = getattr(self.model, _COUNTS[kind])
+        if isinstance(which, str):
+            number = mujoco.mj_name2id(self.model, KINDS[kind], which)
+            if number >= 0:
+                return int(number)
+        elif isinstance(which, int | np.integer) and 0 <= which < count:
+            return int(which)
+        raise InputError(f"there is no {kind} {which!r}; the model has {self._listed(kind, str(which))}.")
+
+    def _listed(self, kind: str, wanted: str) -> str:
+        """Return the names of a kind, the nearest to `wanted` first."""
+        names = self.names(kind)
+        near = difflib.get_close_matches(wanted, names, n=LISTED, cutoff=0.4)
+        ordered = near + [name for name in names if name not in near]
+        more = f" and {len(ordered) - LISTED} more" if len(ordered) > LISTED else ""
+        return f"no {kind}" if not names else f"{len(names)}: " + ", ".join(ordered[:LISTED]) + more

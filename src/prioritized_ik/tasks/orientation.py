@@ -1,0 +1,50 @@
+"""A frame turned as wanted."""
+
+from numpy.typing import ArrayLike
+
+from prioritized_ik.robot import Robot
+from prioritized_ik.tasks.task import FrameTask
+from prioritized_ik.tasks.turns import rotation_of, turn_between
+from prioritized_ik.validation import Array
+
+
+class Orientation(FrameTask):
+    """A frame turned like `target` in the world: a quaternion `(4,)`, w first, or a rotation matrix `(3, 3)`.
+
+    As it is now unless given. Three rows [rad], along the world's axes: the rotation vector that is left.
+
+    Raises:
+        InputError: a frame that does not exist, or a target that is no rotation.
+    """
+
+    kind = "orientation"
+
+    def __init__(
+        self,
+        robot: Robot,
+        target: ArrayLike | None = None,
+        *,
+        body: str | int | None = None,
+        site: str | int | None = None,
+        geom: str | int | None = None,
+        gain: float = 1.0,
+        weights: ArrayLike = 1.0,
+    ) -> None:
+        super().__init__(robot, 3, body=body, site=site, geom=geom, gain=gain, weights=weights)
+        self.target = robot.rotation(self.frame) if target is None else target
+
+    @property
+    def target(self) -> Array:
+        """The rotation matrix wanted `(3, 3)`."""
+        return self._target
+
+    @target.setter
+    def target(self, value: ArrayLike) -> None:
+        self._target = rotation_of(f"target of {self.name}", value)
+
+    def lever(self, robot: Robot) -> float:
+        """Return 1: turns add up to first order only."""
+        return 1.0
+
+    def _rows(self, robot: Robot) -> tuple[Array, Array]:
+        return robot.jacobians(self.frame)[1], turn_between(robot.rotation(self.frame), self.target)

@@ -1,0 +1,65 @@
+"""A frame at a place, turned as wanted."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.robot import Robot
+from prioritized_ik.tasks.task import FrameTask, extent_lever
+from prioritized_ik.tasks.turns import rotation_of, turn_between
+from prioritized_ik.validation import Array
+
+
+class Pose(FrameTask):
+    """A frame at a pose `target` of the world, a homogeneous matrix `(4, 4)`; as it is now unless given.
+
+    Six rows: three of the origin [m], then three of the rotation [rad]. `weights` trade one against the other; for
+    position strictly before orientation, give `Position` and `Orientation` a level each.
+
+    Raises:
+        InputError: a frame that does not exist, or a target that is no pose.
+    """
+
+    kind = "pose"
+
+    def __init__(
+        self,
+        robot: Robot,
+        target: ArrayLike | None = None,
+        *,
+        body: str | int | None = None,
+        site: str | int | None = None,
+        geom: str | int | None = None,
+        gain: float = 1.0,
+        weights: ArrayLike = 1.0,
+    ) -> None:
+        super().__init__(robot, 6, body=body, site=site, geom=geom, gain=gain, weights=weights)
+        if target is None:
+            target = np.eye(4)
+            target[:3, :3], target[:3, 3] = robot.rotation(self.frame), robot.position(self.frame)
+        self.target = target
+
+    @property
+    def target(self) -> Array:
+        """The homogeneous matrix wanted `(4, 4)`."""
+        return self._target
+
+    @target.setter
+    def target(self, value: ArrayLike) -> None:
+        if np.shape(value) != (4, 4):
+            raise InputError(f"target of {self.name} has shape {np.shape(value)}; expected a homogeneous matrix (4, 4).")
+        pose = np.array(value, dtype=float)
+        if not np.isfinite(pose).all() or not np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]):
+            raise InputError(f"target of {self.name} is {pose.tolist()}; expected finite numbers, the last row 0, 0, 0, 1.")
+        rotation_of(f"rotation in the target of {self.name}", pose[:3, :3])
+        pose.setflags(write=False)
+        self._target = pose
+
+    def lever(self, robot: Robot) -> float:
+        """Return the larger of half the model's extent and 1."""
+        return max(extent_lever(robot), 1.0)
+
+    def _rows(self, robot: Robot) -> tuple[Array, Array]:
+        turn = turn_between(robot.rotation(self.frame), self.target[:3, :3])
+        error = np.append(self.target[:3, 3] - robot.position(self.frame), turn)
+        return np.vstack(robot.jacobians(self.frame)), error

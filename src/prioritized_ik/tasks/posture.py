@@ -1,0 +1,45 @@
+"""All joints at a posture."""
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.robot import Robot
+from prioritized_ik.tasks.task import Task
+from prioritized_ik.validation import Array, finite_array
+
+
+class Posture(Task):
+    """Every joint but free bases at the position `target` `(nq,)`; as it is now unless given. A row a degree of freedom.
+
+    Raises:
+        InputError: a target of another length.
+    """
+
+    def __init__(
+        self, robot: Robot, target: ArrayLike | None = None, *, gain: float = 1.0, weights: ArrayLike = 1.0
+    ) -> None:
+        if not isinstance(robot, Robot):
+            raise InputError(f"robot of a posture is of type {type(robot).__name__}; expected a Robot.")
+        model = robot.model
+        self._dofs = np.flatnonzero(model.jnt_type[model.dof_jntid] != int(mujoco.mjtJoint.mjJNT_FREE))
+        super().__init__(robot, len(self._dofs), "posture", gain, weights)
+        self.target = robot.q if target is None else target
+
+    @property
+    def target(self) -> Array:
+        """The position wanted `(nq,)`."""
+        return self._target
+
+    @target.setter
+    def target(self, value: ArrayLike) -> None:
+        nq = self._model.nq
+        if np.shape(value) != (nq,):
+            raise InputError(f"target of the posture has shape {np.shape(value)}; expected a position ({nq},), as q.")
+        self._target = finite_array("target of the posture", value, (nq,))
+
+    def _rows(self, robot: Robot) -> tuple[Array, Array]:
+        error = np.empty(robot.model.nv)
+        mujoco.mj_differentiatePos(robot.model, error, 1.0, robot.q, self.target)
+        return np.eye(robot.model.nv)[self._dofs], error[self._dofs]

@@ -1,0 +1,93 @@
+"""What all tasks have in common."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.robot import Frame, Robot
+from prioritized_ik.validation import Array, finite_array, gain_of
+
+
+class Task(ABC):
+    """Rows J dθ = e: the step dθ `(nv,)` that takes the error e `(k,)` to zero, to first order.
+
+    Args:
+        robot: whose model the task is for; later calls take any `Robot` of that model.
+        size: number of rows k.
+        name: what messages call it.
+        gain: how much of the error one step is to take away, in (0, 1].
+        weights: of the rows in the level's least squares `(k,)`, or one for all.
+
+    Attributes:
+        size: number of rows k.
+        name: what messages call it.
+        gain: how much of the error one step is to take away.
+        weights: of the rows `(k,)`.
+
+    Raises:
+        InputError: a gain out of range; weights of another shape, or below zero.
+    """
+
+    def __init__(self, robot: Robot, size: int, name: str, gain: float = 1.0, weights: ArrayLike = 1.0) -> None:
+        if not isinstance(robot, Robot):
+            raise InputError(f"robot of {name} is of type {type(robot).__name__}; expected a Robot.")
+        self._model = robot.model
+        self.size, self.name = size, name
+        self.gain = gain_of(f"gain of {name}", gain)
+        each = np.full(size, weights) if np.ndim(weights) == 0 else weights
+        self.weights = finite_array(f"weights of {name}", each, (size,))
+        if (self.weights < 0.0).any():
+            raise InputError(f"weights of {name} are {self.weights.tolist()}; expected numbers of at least 0.")
+
+    def rows(self, robot: Robot) -> tuple[Array, Array]:
+        """Return J `(k, nv)` and e `(k,)` at the robot's position.
+
+        Raises:
+            InputError: a robot of another model.
+        """
+        if robot.model is not self._model:
+            raise InputError(f"{self.name} is a task of another model; make it from the robot that it is to move.")
+        return self._rows(robot)
+
+    def lever(self, robot: Robot) -> float:
+        """Return ℓ [row units / rad]: the rows' second derivatives are about ℓ, and zero where the rows are linear in q.
+
+        `solve_step` damps by it: Gauss-Newton leaves out e times the second derivative.
+        """
+        return 0.0
+
+    @abstractmethod
+    def _rows(self, robot: Robot) -> tuple[Array, Array]: ...
+
+    def __repr__(self) -> str:
+        """Return the kind and name."""
+        return f"<{type(self).__name__}: {self.name}>"
+
+
+class FrameTask(Task):
+    """A task of one frame: give one of `body`, `site` and `geom`, by name or number."""
+
+    kind = "frame"
+
+    def __init__(
+        self,
+        robot: Robot,
+        size: int,
+        *,
+        body: str | int | None,
+        site: str | int | None,
+        geom: str | int | None,
+        gain: float,
+        weights: ArrayLike,
+    ) -> None:
+        if not isinstance(robot, Robot):
+            raise InputError(f"robot is of type {type(robot).__name__}; expected a Robot.")
+        self.frame: Frame = robot.frame(body=body, site=site, geom=geom)
+        super().__init__(robot, size, f"{self.kind} of {self.frame.name}", gain, weights)
+
+
+def extent_lever(robot: Robot) -> float:
+    """Return half the model's extent [m]: about how far a turn of one radian moves the points on it."""
+    return 0.5 * float(robot.model.stat.extent)

@@ -1,0 +1,72 @@
+"""A robot finds its parts, moves, and says what is wrong with what it is given."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from prioritized_ik import InputError, Robot
+
+XML = """
+<mujoco><worldbody><body name="hand"><joint name="turn" type="ball"/><geom size="0.1"/>
+<body name="finger" pos="0 0 .2"><joint name="bend" axis="0 1 0"/><geom name="tip" size="0.05"/><site name="nail"/></body>
+</body></worldbody></mujoco>
+"""
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return Robot(mujoco.MjModel.from_xml_string(XML))
+
+
+def test_parts_are_found_by_name_and_by_number(robot):
+    assert (robot.joint("bend"), robot.body("finger"), robot.site("nail"), robot.geom(0)) == (1, 2, 0, 0)
+    assert robot.names("geom") == ["geom 0", "tip"]
+    assert robot.dofs("bend") == slice(3, 4)
+
+
+def test_an_unknown_name_lists_what_there_is_nearest_first(robot):
+    with pytest.raises(InputError, match=r"no joint 'bent'; the model has 2: bend, turn\."):
+        robot.joint("bent")
+    with pytest.raises(InputError, match="no geom 7"):
+        robot.geom(7)
+
+
+def test_integrating_turns_a_ball_joint_on_its_sphere(robot):
+    q = robot.integrate([0.0, 0.0, 1.0, 0.5], 0.2)
+    assert q == pytest.approx([np.cos(0.1), 0.0, 0.0, np.sin(0.1), 0.1])
+    assert robot.q == pytest.approx(q)
+
+
+def test_a_position_of_the_wrong_length_says_nq_and_nv(robot):
+    with pytest.raises(InputError, match="nq = 5 positions and nv = 4"):
+        robot.update(np.zeros(4))
+
+
+def test_one_frame_is_asked_for_at_a_time(robot):
+    with pytest.raises(InputError, match="2 frames were given"):
+        robot.frame(site="nail", body="hand")
+
+
+def test_a_urdf_of_package_paths_is_refused(tmp_path):
+    file = tmp_path / "robot.urdf"
+    file.write_text('<robot name="r"><link name="a"><visual><mesh filename="package://x/a.stl"/></visual></link></robot>')
+    with pytest.raises(InputError, match="package:// paths"):
+        Robot.load(file)
+
+
+def test_a_urdf_loads(tmp_path):
+    file = tmp_path / "robot.urdf"
+    inertial = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    file.write_text(
+        f'<robot name="r"><link name="a"/><link name="b">{inertial}</link><joint name="j" type="continuous">'
+        '<parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint></robot>'
+    )
+    assert Robot.load(file).names("joint") == ["j"]
+
+
+def test_a_missing_or_broken_file_is_one_clear_message(tmp_path):
+    with pytest.raises(InputError, match="there is no file"):
+        Robot.load(tmp_path / "none.xml")
+    (tmp_path / "broken.xml").write_text("<mujoco>")
+    with pytest.raises(InputError, match=r"cannot read broken\.xml"):
+        Robot.load(tmp_path / "broken.xml")
