@@ -48,9 +48,9 @@ unit: setup
 package: setup
 	$(BIN)/python tools/check_package.py
 
-# What the README shows: its tables and its picture.
+# What the README and the pages beside it show: their tables and the picture.
 readme: setup
-	$(BIN)/prioritized-ik paper --out results/paper --readme README.md
+	$(BIN)/prioritized-ik paper --out results/paper --readme README.md --readme docs/winding.md
 	$(BIN)/prioritized-ik wind --tilt 0.3 --record docs/wound.png
 
 lock:

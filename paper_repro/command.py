@@ -22,9 +22,11 @@ if TYPE_CHECKING:
 )
 @click.option("--quick", is_flag=True, help="A reduced run: fewer seeds, directions, steps and solvers.")
 @click.option("--workers", type=int, help="Processes.  [default: one a core]")
-@click.option("--readme", type=click.Path(exists=True, dir_okay=False), help="Put tables between this file's markers.")
+@click.option(
+    "--readme", type=click.Path(exists=True, dir_okay=False), multiple=True, help="Put tables between its markers."
+)
 @click.pass_context
-def paper(context: click.Context, out: str, names: str, quick: bool, workers: int | None, readme: str | None) -> None:
+def paper(context: click.Context, out: str, names: str, quick: bool, workers: int | None, readme: tuple[str, ...]) -> None:
     """Make every table and figure of the paper, and a report of what it says, what we got and what it leaves open.
 
     What is done is kept: an interrupted run goes on where it was.
@@ -43,15 +45,15 @@ def paper(context: click.Context, out: str, names: str, quick: bool, workers: in
     from paper_repro.readme import fill, marked
 
     artefacts = chosen(tuple(name.strip() for name in names.split(",") if name.strip()))
-    if readme is not None:
-        marked(Path(writable_file(readme)))
+    for page in readme:
+        marked(Path(writable_file(page)))
     folder = made_folder(Path(out))
     with _bar() as progress:
         files = build(artefacts, folder, scale, processes, progress)
     for path in files:
         click.echo(path)
-    if readme is not None:
-        fill(Path(readme), folder, scale)
+    for page in readme:
+        fill(Path(page), folder, scale)
 
 
 @paper.command()

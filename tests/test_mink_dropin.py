@@ -9,7 +9,6 @@ import importlib.util
 import json
 import os
 import pickle
-import re
 import subprocess
 import sys
 import warnings
@@ -224,13 +223,6 @@ def test_the_table_of_the_readme_is_made_of_the_demonstrations_rows():
     assert len(table.rows) == len(MACHINES) * len(SCENARIOS)
     assert [column.key for column in table.columns][-3:] == ["ours", "nearer", "certified"]
     assert max(row[-3] for row in table.rows) <= EXACT
-
-
-def test_the_page_for_minks_users_runs(capsys):
-    text = (Path(__file__).parents[1] / "docs" / "from-mink.md").read_text(encoding="utf-8")
-    for code in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
-        exec(compile(code, "from-mink.md", "exec"), {})
-    assert capsys.readouterr().out.splitlines()[-1] == re.findall(r"# prints: (.*)", text)[0]
 
 
 # What the problem is made of.

@@ -189,16 +189,17 @@ def test_a_file_without_a_fitting_place_is_left_as_it_is(text, message, tmp_path
     assert file.read_text(encoding="utf-8") == text
 
 
-def test_the_tables_of_the_readme_are_ones_that_the_command_makes(made):
-    page = (ROOT / "README.md").read_text(encoding="utf-8")
-    names = marked(ROOT / "README.md")
+@pytest.mark.parametrize("name", ["README.md", "docs/winding.md"])
+def test_the_tables_of_the_readme_are_ones_that_the_command_makes(made, name):
+    page = (ROOT / name).read_text(encoding="utf-8")
+    names = marked(ROOT / name)
     headings = [line for line in page.splitlines() if re.match(r"\| ?:?---", line)]
     assert len(headings) == len(names), "a table that no command makes"
-    by_name = {artefact.name: artefact for artefact in artefacts()}
-    for name in names:
-        text = by_name[name].file(made, "md").read_text(encoding="utf-8")
+    by_name = {each.name: each for each in artefacts()}
+    for artefact in names:
+        text = by_name[artefact].file(made, "md").read_text(encoding="utf-8")
         header = next(line for line in text.splitlines() if line.startswith("|"))
-        assert header in page, name
+        assert header in page, artefact
 
 
 def test_what_was_made_at_another_scale_is_named_in_the_report_but_not_shown(made, tmp_path):

@@ -1,4 +1,4 @@
-"""The README runs: its Python and its commands, as they stand."""
+"""The README and the pages in docs run: their Python and their commands, as they stand."""
 
 import re
 import shlex
@@ -10,20 +10,21 @@ from click.testing import CliRunner
 from prioritized_ik.cli import main
 
 ROOT = Path(__file__).parents[1]
-TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = {page: page.read_text(encoding="utf-8") for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))}
+TEXT = "\n".join(PAGES.values())
 PYTHON = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
 CONSOLE = [
     line.split("#")[0].strip()
     for block in re.findall(r"```console\n(.*?)```", TEXT, re.DOTALL)
     for line in block.splitlines()
 ]
-COMMANDS = [line for line in CONSOLE if line.startswith("prioritized-ik")]
+COMMANDS = list(dict.fromkeys(line for line in CONSOLE if line.startswith("prioritized-ik")))
 
 
 @pytest.mark.parametrize("code", PYTHON)
 def test_the_python_of_the_readme_runs(code: str, capsys: pytest.CaptureFixture[str]) -> None:
     exec(compile(code, "README.md", "exec"), {})
-    assert capsys.readouterr().out.splitlines()[-1] == re.findall(r"# (?:prints: )?(SOLVED .*)", code)[0]
+    assert capsys.readouterr().out.splitlines()[-1:] == re.findall(r"# (?:prints: )?(SOLVED .*)", code)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -41,5 +42,6 @@ def test_the_readme_has_code_and_commands_and_its_make_targets_exist() -> None:
 
 
 def test_every_link_inside_the_project_leads_somewhere() -> None:
-    for target in re.findall(r"\]\(([^):]+)\)", TEXT):
-        assert (ROOT / target).exists(), target
+    for page, text in PAGES.items():
+        for target in re.findall(r"\]\(([^):#]+)\)", text):
+            assert (page.parent / target).exists(), f"{target} in {page.name}"
