@@ -381,3 +381,10 @@ def test_the_public_names_of_the_door() -> None:
     assert pik.register is registry.register
     assert pik.solve is solve
     assert issubclass(Standing, pik.Method)
+
+
+def test_a_backend_stands_for_the_method_that_it_makes_guesses_for() -> None:
+    problem = pik.IKProblem([pik.Level([[1.0, 1.0]], [1.0])], pik.Bounds([-0.1] * 2, [0.1] * 2))
+    step = pik.solve(problem, pik.get_backend("quadprog"))
+    assert step.method == "lexicographic:quadprog"
+    assert step.dtheta.tolist() == pik.solve(problem, "quadprog").dtheta.tolist()

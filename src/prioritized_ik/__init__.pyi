@@ -47,6 +47,8 @@ from .solvers.registry import get_method as get_method
 from .solvers.registry import installed_methods as installed_methods
 from .solvers.registry import known_methods as known_methods
 from .solvers.registry import register as register
+from .solvers.backends.registry import get_backend as get_backend
+from .solvers.backends.registry import installed_solvers as installed_solvers
 from .solvers.batch import solve_many as solve_many
 from .solvers.step import JointStep as JointStep
 from .solvers.step import StepStatus as StepStatus

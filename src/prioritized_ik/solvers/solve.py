@@ -6,19 +6,21 @@ import numpy as np
 
 from prioritized_ik.errors import InfeasibleError, InputError, StepNotFoundError
 from prioritized_ik.problem import IKProblem
+from prioritized_ik.solvers.backends.protocol import Backend
 from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
-from prioritized_ik.solvers.methods import Method, Place
+from prioritized_ik.solvers.methods import Lexicographic, Method, Place
 from prioritized_ik.solvers.registry import DEFAULT, get_method
 from prioritized_ik.solvers.step import JointStep, StepStatus
 
 
-def solve(problem: IKProblem, solver: str | Method = DEFAULT, options: SolveOptions | None = None) -> JointStep:
+def solve(problem: IKProblem, solver: str | Method | Backend = DEFAULT, options: SolveOptions | None = None) -> JointStep:
     """Return the joint step that is optimal at every level of `problem`.
 
     Args:
         problem: levels, bounds, rows, equalities and reference.
         solver: a method or the name of one, see `registry.get_method`; the bare name of a QP solver stands for
-            `lexicographic:` and that solver. A method made once remembers its last step, if it starts warm.
+            `lexicographic:` and that solver, and so does a backend. A method made once remembers its last step, if it
+            starts warm.
         options: see `SolveOptions`.
 
     Raises:
@@ -31,6 +33,8 @@ def solve(problem: IKProblem, solver: str | Method = DEFAULT, options: SolveOpti
         raise InputError(f"problem is {_kind(problem)}; expected an IKProblem, with its levels and limits.")
     if options is not None and not isinstance(options, SolveOptions):
         raise InputError(f"options is {_kind(options)}; expected SolveOptions.")
+    if isinstance(solver, Backend):
+        solver = Lexicographic(solver)
     if not isinstance(solver, str | Method):
         raise InputError(
             f"solver is {_kind(solver)}; expected a name such as {DEFAULT!r} or 'daqp', or what get_method returned "

@@ -1,7 +1,7 @@
 """What every backend offers: the answer to one stage."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.validation import Array
@@ -29,6 +29,7 @@ class SolverFailedError(Exception):
     """One call of a solver gave no answer. Backends make a result without x of it."""
 
 
+@runtime_checkable
 class Backend(Protocol):
     """A QP solver that can be handed stages. One backend serves one thread at a time."""
 
