@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tolerances import ORACLE, ROUNDING
 from winding_fixtures import AS_RECORDED, constrained_steps, free_steps
 
+import prioritized_ik as pik
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers import active_set
 from prioritized_ik.solvers.active_set import Active, Solution, face_solution, guessed, solve
@@ -434,3 +435,17 @@ def test_a_certificate_that_holds_for_anything_would_be_noticed(monkeypatch):
     found = from_answer(Hierarchy(BOXED), np.array([0.5, 1.0, 0.6]))
     assert error(found.u, OPTIMUM) > 1e-2
     assert not certify(BOXED, found.u).holds
+
+
+def test_a_robot_pressed_against_a_wall_keeps_its_step_certified_once_it_rests():
+    """Where the step is a billionth of what the levels ask for, rounding of what they ask for breaks no row."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        matrix, towards = rng.normal(size=(2, 3)), rng.normal(size=3)
+        level = pik.Level(np.vstack([matrix, 0.05 * np.eye(3)]), [*(0.01 * matrix @ towards), 0.0, 0.0, 0.0])
+        pressed = level.matrix.T @ level.target
+        for side in (0.0, -1e-16, 1e-13, -1e-12):
+            wall = pik.Rows([pressed, rng.normal(size=3)], [side, 0.02])
+            step = pik.solve(pik.IKProblem([level], pik.Bounds([-0.02] * 3, [0.02] * 3), wall))
+            assert step.certificate.holds, side
+            assert pressed @ step.dtheta <= side + 1e-16

@@ -284,6 +284,6 @@ def test_a_linear_program_that_highs_does_not_solve_is_an_error(monkeypatch):
     def fails(*args, **kwargs):
         return scipy.optimize.OptimizeResult(status=4, message="numerical difficulties")
 
-    monkeypatch.setattr(module.scipy.optimize, "linprog", fails)
+    monkeypatch.setattr("scipy.optimize.linprog", fails)
     with pytest.raises(PrioritizedIkError, match="contradict each other: numerical difficulties"):
         find_conflict(problem(2, rows=TRIANGLE))

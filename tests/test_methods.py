@@ -179,11 +179,6 @@ def test_a_damping_is_refused_by_methods_that_have_none(name: str) -> None:
         solve(FREE, name, SolveOptions(damping=0.1))
 
 
-def test_a_backend_is_no_method() -> None:
-    with pytest.raises(InputError, match="what get_method returned"):
-        solve(FREE, get_method("daqp").backend)
-
-
 def test_the_closed_form_is_refused_where_it_breaks_a_row() -> None:
     with pytest.raises(StepNotFoundError, match=r"closed-form: .*breaks a bound or row"):
         solve(BOUND, "closed-form")

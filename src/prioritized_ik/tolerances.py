@@ -73,8 +73,9 @@ DRIFT = 1e-14
 #: [of the step] A closed-form step that breaks no row by more than this, its own rounding, breaks none.
 FREE = 1e-12
 
-#: [–] A step this fraction of what the levels ask for counts as this long, so that zero steps have a scale.
-FLOOR = 1e-9
+#: [–] A step this fraction of what the levels ask for counts as this long, so that steps of robots at rest have a scale:
+#: what a certificate allows of it is no finer than the rounding of what the levels ask for.
+FLOOR = ROUNDING / CERTIFIED
 
 #: [–] Active rows visited before the search from a guess is given up.
 ITERATIONS = 60

@@ -234,7 +234,7 @@ class Hierarchy:
         return impossible_rows(self._given, FEASIBLE * longest * self.length)
 
     def scale(self, u: Array) -> float:
-        """Return what relative figures of a step count against: ‖u‖, at least a billionth of what the levels ask for."""
+        """Return what relative figures of a step count against: ‖u‖, at least `FLOOR` of what the levels ask for."""
         return max(length(u), FLOOR * self.length / AMPLE) or 1.0
 
     @cached_property
