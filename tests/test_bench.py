@@ -440,4 +440,10 @@ def test_the_command_is_registered() -> None:
 def test_the_recorded_episode_is_what_rivals_are_asked_of() -> None:
     episode: Episode = recorded("up")
     ours = winding.Loop(episode.settings)(episode.q[60], episode.in_contact[59])
-    winding._same(ours.posed, episode.problem(60))
+    theirs = episode.problem(60)
+    for level, same in zip(ours.posed.levels, theirs.levels, strict=True):
+        assert level.matrix.tobytes() == same.matrix.tobytes()
+        assert level.target.tobytes() == same.target.tobytes()
+    winding._same(ours.posed, theirs)
+    with pytest.raises(winding.DifferentProblemError, match="another problem"):
+        winding._same(ours.posed, episode.problem(61))

@@ -11,16 +11,10 @@ from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array, finite_array
 
 
-class Axis(FrameTask):
-    """`axis` `(3,)`, fixed to a frame, along the direction `target` `(3,)` of the world; turns about it are free.
+class _AxisTask(FrameTask):
+    """Two rows [rad] across an `axis` `(3,)` that is fixed to a frame."""
 
-    Two rows [rad], across the axis: the shortest turn that is left.
-
-    Raises:
-        InputError: a frame that does not exist; an axis or target of another dimension, or zero.
-    """
-
-    kind = "axis"
+    row_count = 2
 
     def __init__(
         self,
@@ -34,30 +28,42 @@ class Axis(FrameTask):
         gain: float = 1.0,
         weights: ArrayLike = 1.0,
     ) -> None:
-        super().__init__(robot, 2, body=body, site=site, geom=geom, gain=gain, weights=weights)
-        self._axis = unit(f"axis of {self.name}", axis)
-        self.target = target
-
-    @property
-    def target(self) -> Array:
-        """The direction wanted, of length 1 `(3,)`."""
-        return self._target
-
-    @target.setter
-    def target(self, value: ArrayLike) -> None:
-        self._target = unit(f"target of {self.name}", value)
+        self._axis = unit(f"axis of {self.kind}", axis)
+        super().__init__(robot, target, body=body, site=site, geom=geom, gain=gain, weights=weights)
 
     def lever(self, robot: Robot) -> float:
         """Return 1: turns add up to first order only."""
         return 1.0
 
+    def _pointing(self, robot: Robot) -> Array:
+        """Return the axis `(3,)` in the world."""
+        return robot.rotation(self.frame) @ self._axis
+
+
+class Axis(_AxisTask):
+    """`axis` `(3,)`, fixed to a frame, along the direction `target` `(3,)` of the world; turns about it are free.
+
+    Two rows [rad], across the axis: the shortest turn that is left.
+
+    Raises:
+        InputError: a frame that does not exist; an axis or target of another dimension, or zero.
+    """
+
+    kind = "axis"
+
+    def _now(self, robot: Robot) -> Array:
+        return self._pointing(robot)
+
+    def _checked(self, value: ArrayLike) -> Array:
+        return unit(f"target of {self.name}", value)
+
     def _rows(self, robot: Robot) -> tuple[Array, Array]:
-        here = robot.rotation(self.frame) @ self._axis
+        here = self._pointing(robot)
         sides = across(here)
         return sides @ robot.jacobians(self.frame)[1], sides @ shortest_turn(here, self.target)
 
 
-class LookAt(FrameTask):
+class LookAt(_AxisTask):
     """`axis` `(3,)`, fixed to a frame, through the point `target` `(3,)` [m] of the world; turns about it are free.
 
     Two rows [rad], across the axis: the shortest turn that is left. The frame may also move to look.
@@ -69,41 +75,18 @@ class LookAt(FrameTask):
 
     kind = "look-at"
 
-    def __init__(
-        self,
-        robot: Robot,
-        target: ArrayLike,
-        *,
-        axis: ArrayLike = (0.0, 0.0, 1.0),
-        body: str | int | None = None,
-        site: str | int | None = None,
-        geom: str | int | None = None,
-        gain: float = 1.0,
-        weights: ArrayLike = 1.0,
-    ) -> None:
-        super().__init__(robot, 2, body=body, site=site, geom=geom, gain=gain, weights=weights)
-        self._axis = unit(f"axis of {self.name}", axis)
-        self.target = target
+    def _now(self, robot: Robot) -> Array:
+        return robot.position(self.frame) + self._pointing(robot)
 
-    @property
-    def target(self) -> Array:
-        """The point to look at `(3,)` [m]."""
-        return self._target
-
-    @target.setter
-    def target(self, value: ArrayLike) -> None:
-        self._target = finite_array(f"target of {self.name}", value, (3,))
-
-    def lever(self, robot: Robot) -> float:
-        """Return 1: turns add up to first order only."""
-        return 1.0
+    def _checked(self, value: ArrayLike) -> Array:
+        return finite_array(f"target of {self.name}", value, (3,))
 
     def _rows(self, robot: Robot) -> tuple[Array, Array]:
         sight = self.target - robot.position(self.frame)
         distance = float(np.linalg.norm(sight))
         if distance <= ROUNDING:
             raise InputError(f"target of {self.name} is at the frame's origin; expected a point away from it.")
-        here, there = robot.rotation(self.frame) @ self._axis, sight / distance
+        here, there = self._pointing(robot), sight / distance
         linear, angular = robot.jacobians(self.frame)
         # The axis turns by ω, the line of sight by -there × v / distance: what counts is the one less the other.
         turning = angular + np.cross(there, linear, axisb=0, axisc=0) / distance

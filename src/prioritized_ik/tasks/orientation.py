@@ -19,28 +19,11 @@ class Orientation(FrameTask):
 
     kind = "orientation"
 
-    def __init__(
-        self,
-        robot: Robot,
-        target: ArrayLike | None = None,
-        *,
-        body: str | int | None = None,
-        site: str | int | None = None,
-        geom: str | int | None = None,
-        gain: float = 1.0,
-        weights: ArrayLike = 1.0,
-    ) -> None:
-        super().__init__(robot, 3, body=body, site=site, geom=geom, gain=gain, weights=weights)
-        self.target = robot.rotation(self.frame) if target is None else target
+    def _now(self, robot: Robot) -> Array:
+        return robot.rotation(self.frame)
 
-    @property
-    def target(self) -> Array:
-        """The rotation matrix wanted `(3, 3)`."""
-        return self._target
-
-    @target.setter
-    def target(self, value: ArrayLike) -> None:
-        self._target = rotation_of(f"target of {self.name}", value)
+    def _checked(self, value: ArrayLike) -> Array:
+        return rotation_of(f"target of {self.name}", value)
 
     def lever(self, robot: Robot) -> float:
         """Return 1: turns add up to first order only."""

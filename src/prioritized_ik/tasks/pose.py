@@ -21,31 +21,14 @@ class Pose(FrameTask):
     """
 
     kind = "pose"
+    row_count = 6
 
-    def __init__(
-        self,
-        robot: Robot,
-        target: ArrayLike | None = None,
-        *,
-        body: str | int | None = None,
-        site: str | int | None = None,
-        geom: str | int | None = None,
-        gain: float = 1.0,
-        weights: ArrayLike = 1.0,
-    ) -> None:
-        super().__init__(robot, 6, body=body, site=site, geom=geom, gain=gain, weights=weights)
-        if target is None:
-            target = np.eye(4)
-            target[:3, :3], target[:3, 3] = robot.rotation(self.frame), robot.position(self.frame)
-        self.target = target
+    def _now(self, robot: Robot) -> Array:
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = robot.rotation(self.frame), robot.position(self.frame)
+        return pose
 
-    @property
-    def target(self) -> Array:
-        """The homogeneous matrix wanted `(4, 4)`."""
-        return self._target
-
-    @target.setter
-    def target(self, value: ArrayLike) -> None:
+    def _checked(self, value: ArrayLike) -> Array:
         if np.shape(value) != (4, 4):
             raise InputError(f"target of {self.name} has shape {np.shape(value)}; expected a homogeneous matrix (4, 4).")
         pose = np.array(value, dtype=float)
@@ -53,7 +36,7 @@ class Pose(FrameTask):
             raise InputError(f"target of {self.name} is {pose.tolist()}; expected finite numbers, the last row 0, 0, 0, 1.")
         rotation_of(f"rotation in the target of {self.name}", pose[:3, :3])
         pose.setflags(write=False)
-        self._target = pose
+        return pose
 
     def lever(self, robot: Robot) -> float:
         """Return the larger of half the model's extent and 1."""

@@ -16,28 +16,11 @@ class Position(FrameTask):
 
     kind = "position"
 
-    def __init__(
-        self,
-        robot: Robot,
-        target: ArrayLike | None = None,
-        *,
-        body: str | int | None = None,
-        site: str | int | None = None,
-        geom: str | int | None = None,
-        gain: float = 1.0,
-        weights: ArrayLike = 1.0,
-    ) -> None:
-        super().__init__(robot, 3, body=body, site=site, geom=geom, gain=gain, weights=weights)
-        self.target = robot.position(self.frame) if target is None else target
+    def _now(self, robot: Robot) -> Array:
+        return robot.position(self.frame)
 
-    @property
-    def target(self) -> Array:
-        """Where the origin is to be `(3,)` [m]."""
-        return self._target
-
-    @target.setter
-    def target(self, value: ArrayLike) -> None:
-        self._target = finite_array(f"target of {self.name}", value, (3,))
+    def _checked(self, value: ArrayLike) -> Array:
+        return finite_array(f"target of {self.name}", value, (3,))
 
     def lever(self, robot: Robot) -> float:
         """Return half the model's extent [m]."""

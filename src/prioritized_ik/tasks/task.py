@@ -1,6 +1,7 @@
 """What all tasks have in common."""
 
 from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -67,25 +68,57 @@ class Task(ABC):
 
 
 class FrameTask(Task):
-    """A task of one frame: give one of `body`, `site` and `geom`, by name or number."""
+    """A task of one frame: give one of `body`, `site` and `geom`, by name or number.
 
-    kind = "frame"
+    Args:
+        robot: see `Task`.
+        target: what is wanted of the frame; where it is now unless given.
+        body: the frame, if it is a body's.
+        site: the frame, if it is a site's.
+        geom: the frame, if it is a geom's.
+        gain: see `Task`.
+        weights: see `Task`.
+
+    Raises:
+        InputError: see `Task`; a frame that does not exist, or a target of another kind.
+    """
+
+    kind: ClassVar[str] = "frame"
+    row_count: ClassVar[int] = 3
 
     def __init__(
         self,
         robot: Robot,
-        size: int,
+        target: ArrayLike | None = None,
         *,
-        body: str | int | None,
-        site: str | int | None,
-        geom: str | int | None,
-        gain: float,
-        weights: ArrayLike,
+        body: str | int | None = None,
+        site: str | int | None = None,
+        geom: str | int | None = None,
+        gain: float = 1.0,
+        weights: ArrayLike = 1.0,
     ) -> None:
         if not isinstance(robot, Robot):
             raise InputError(f"robot is of type {type(robot).__name__}; expected a Robot.")
         self.frame: Frame = robot.frame(body=body, site=site, geom=geom)
-        super().__init__(robot, size, f"{self.kind} of {self.frame.name}", gain, weights)
+        super().__init__(robot, self.row_count, f"{self.kind} of {self.frame.name}", gain, weights)
+        self.target = self._now(robot) if target is None else target
+
+    @property
+    def target(self) -> Array:
+        """What is wanted of the frame, see the class."""
+        return self._target
+
+    @target.setter
+    def target(self, value: ArrayLike) -> None:
+        self._target = self._checked(value)
+
+    @abstractmethod
+    def _now(self, robot: Robot) -> Array:
+        """Return the target that is met where the robot is."""
+
+    @abstractmethod
+    def _checked(self, value: ArrayLike) -> Array:
+        """Return a target as it is kept."""
 
 
 def extent_lever(robot: Robot) -> float:
