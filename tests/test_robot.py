@@ -25,10 +25,35 @@ def test_parts_are_found_by_name_and_by_number(robot):
 
 
 def test_an_unknown_name_lists_what_there_is_nearest_first(robot):
-    with pytest.raises(InputError, match=r"no joint 'bent'; the model has 2: bend, turn\."):
+    with pytest.raises(InputError, match=r"no joint 'bent'; the model has 2 joints: bend, turn; 3 bodies: "):
         robot.joint("bent")
-    with pytest.raises(InputError, match="no geom 7"):
+    with pytest.raises(InputError, match=r"no geom 7; the model has 2 geoms: tip, 1 without a name, by number; "):
         robot.geom(7)
+
+
+def test_a_frame_that_does_not_exist_lists_every_kind_nearest_first(robot):
+    listed = (
+        r"1 site: nail; 2 joints: turn, bend; 3 bodies: finger, world, hand; 2 geoms: tip, 1 without a name, by number\."
+    )
+    with pytest.raises(InputError, match="no site 'fingre'; the model has " + listed):
+        robot.frame(site="fingre")
+
+
+def test_long_lists_are_cut():
+    geoms = "".join(f'<geom name="g{i}" size="1"/>' for i in range(30))
+    robot = Robot(mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>"))
+    with pytest.raises(InputError, match=r"30 geoms: g29, .*, 10 more; no joint; 1 body: world; no site"):
+        robot.geom("g299")
+
+
+def test_a_pattern_finds_all_that_match(robot):
+    assert robot.joints("*n*") == [0, 1]
+    assert robot.bodies("*") == [0, 1, 2]
+    assert robot.sites("n?il") == [0]
+    assert robot.geoms("t*") == [1]
+    assert robot.geoms(0) == [0]
+    with pytest.raises(InputError, match=r"no geom 'x\*'"):
+        robot.geoms("x*")
 
 
 def test_integrating_turns_a_ball_joint_on_its_sphere(robot):
@@ -51,7 +76,7 @@ def test_a_urdf_of_package_paths_is_refused(tmp_path):
     file = tmp_path / "robot.urdf"
     file.write_text('<robot name="r"><link name="a"><visual><mesh filename="package://x/a.stl"/></visual></link></robot>')
     with pytest.raises(InputError, match="package:// paths"):
-        Robot.load(file)
+        Robot(file)
 
 
 def test_a_urdf_loads(tmp_path):
@@ -61,12 +86,12 @@ def test_a_urdf_loads(tmp_path):
         f'<robot name="r"><link name="a"/><link name="b">{inertial}</link><joint name="j" type="continuous">'
         '<parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint></robot>'
     )
-    assert Robot.load(file).names("joint") == ["j"]
+    assert Robot(file).names("joint") == ["j"]
 
 
 def test_a_missing_or_broken_file_is_one_clear_message(tmp_path):
     with pytest.raises(InputError, match="there is no file"):
-        Robot.load(tmp_path / "none.xml")
+        Robot(tmp_path / "none.xml")
     (tmp_path / "broken.xml").write_text("<mujoco>")
     with pytest.raises(InputError, match=r"cannot read broken\.xml"):
-        Robot.load(tmp_path / "broken.xml")
+        Robot(tmp_path / "broken.xml")

@@ -130,7 +130,7 @@ BAD: dict[str, tuple[Callable[[Robot], object], str]] = {
     "coupled ball": (lambda robot: JointCoupling(robot, {"ball": 1.0}), "ball or free joint"),
     "coupling of nothing": (lambda robot: JointCoupling(robot, {}), "no joint"),
     "no frame": (lambda robot: Position(robot), "0 frames"),
-    "unknown site": (lambda robot: Position(robot, site="tipp"), "there is no site 'tipp'; the model has 1: tip"),
+    "unknown site": (lambda robot: Position(robot, site="tipp"), "there is no site 'tipp'; the model has 1 site: tip"),
     "another model": (lambda robot: Position(_robot(), site="tip").rows(robot), "task of another model"),
     "no robot": (lambda robot: Posture(robot.model), "expected a Robot"),  # type: ignore[arg-type]
     "looking at itself": (lambda robot: LookAt(robot, _ahead(robot, 0.0), site="tip").rows(robot), "origin"),

@@ -20,8 +20,10 @@ KINDS = {
     "site": mujoco.mjtObj.mjOBJ_SITE,
     "geom": mujoco.mjtObj.mjOBJ_GEOM,
 }
+PLURALS = {"joint": "joints", "body": "bodies", "site": "sites", "geom": "geoms"}
 _COUNTS = {"joint": "njnt", "body": "nbody", "site": "nsite", "geom": "ngeom"}
-LISTED = 20  # names in a message; robots have hundreds
+LISTED = 20  # names of a kind in a message; robots have hundreds
+LISTED_OTHERS = 6  # names of each other kind
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class Robot:
     """A MuJoCo model at a position.
 
     Args:
-        model: any MuJoCo model; not changed.
+        model: any MuJoCo model, which is not changed, or the path of an MJCF or URDF file.
         q: position `(nq,)`; the model's `qpos0` unless given.
 
     Attributes:
@@ -45,37 +47,18 @@ class Robot:
         data: its state, up to date with `q`.
 
     Raises:
-        InputError: something else than a model, or a position of another length.
+        InputError: something else than a model or a path, or a position of another length.
+        ModelError: no such file, one that MuJoCo cannot read, or a URDF with `package://` paths.
     """
 
-    def __init__(self, model: mujoco.MjModel, q: ArrayLike | None = None) -> None:
+    def __init__(self, model: mujoco.MjModel | str | Path, q: ArrayLike | None = None) -> None:
+        if isinstance(model, str | Path):
+            model = _model_of(Path(model))
         if not isinstance(model, mujoco.MjModel):
-            raise InputError(
-                f"model is of type {type(model).__name__}; expected a mujoco.MjModel, or use Robot.load(file)."
-            )
+            raise InputError(f"model is of type {type(model).__name__}; expected a mujoco.MjModel or the path of a file.")
         self.model = model
         self.data = mujoco.MjData(model)
         self.update(model.qpos0 if q is None else q)
-
-    @classmethod
-    def load(cls, path: str | Path, q: ArrayLike | None = None) -> "Robot":
-        """Return the robot of an MJCF or URDF file.
-
-        Raises:
-            ModelError: no such file, one that MuJoCo cannot read, or a URDF with `package://` paths.
-        """
-        file = Path(path)
-        if not file.is_file():
-            raise ModelError(f"there is no file {str(path)!r}; expected an MJCF (.xml) or URDF (.urdf) file.")
-        if file.suffix == ".urdf" and "package://" in file.read_text(encoding="utf-8"):
-            raise ModelError(
-                f"{file.name} has package:// paths, which only ROS can resolve; replace them by paths relative to the file."
-            )
-        try:
-            model = mujoco.MjModel.from_xml_path(str(file))
-        except ValueError as error:
-            raise ModelError(f"MuJoCo cannot read {file.name}: {error}") from error
-        return cls(model, q)
 
     @property
     def q(self) -> Array:
@@ -122,18 +105,25 @@ class Robot:
         """Return the number of a geom, by name or number; most geoms of real models have no name."""
         return self._number("geom", which)
 
+    def joints(self, which: str | int) -> list[int]:
+        """Return the numbers of joints, by name, by pattern such as `left*` (see `fnmatch`), or by number."""
+        return self._numbers("joint", which)
+
+    def bodies(self, which: str | int) -> list[int]:
+        """Return the numbers of bodies, by name, pattern or number."""
+        return self._numbers("body", which)
+
+    def sites(self, which: str | int) -> list[int]:
+        """Return the numbers of sites, by name, pattern or number."""
+        return self._numbers("site", which)
+
     def geoms(self, which: str | int) -> list[int]:
-        """Return the numbers of geoms, by name, by pattern such as `left*`, or by number."""
-        if isinstance(which, str) and any(mark in which for mark in "*?["):
-            found = [number for number, name in enumerate(self.names("geom")) if fnmatch.fnmatchcase(name, which)]
-            if found:
-                return found
-        return [self.geom(which)]
+        """Return the numbers of geoms, by name, pattern or number."""
+        return self._numbers("geom", which)
 
     def names(self, kind: str) -> list[str]:
         """Return what the parts of a kind are called: their name, or for instance `geom 3` where they have none."""
-        count = getattr(self.model, _COUNTS[kind])
-        return [mujoco.mj_id2name(self.model, KINDS[kind], number) or f"{kind} {number}" for number in range(count)]
+        return [name or f"{kind} {number}" for number, name in enumerate(self._given_names(kind))]
 
     def dofs(self, joint: str | int) -> slice:
         """Return the degrees of freedom of a joint."""
@@ -194,12 +184,51 @@ class Robot:
                 return int(number)
         elif isinstance(which, int | np.integer) and 0 <= which < count:
             return int(which)
-        raise InputError(f"there is no {kind} {which!r}; the model has {self._listed(kind, str(which))}.")
+        raise InputError(self._not_found(kind, which))
 
-    def _listed(self, kind: str, wanted: str) -> str:
-        """Return the names of a kind, the nearest to `wanted` first."""
-        names = self.names(kind)
-        near = difflib.get_close_matches(wanted, names, n=LISTED, cutoff=0.4)
+    def _numbers(self, kind: str, which: str | int) -> list[int]:
+        if not isinstance(which, str) or not any(mark in which for mark in "*?["):
+            return [self._number(kind, which)]
+        found = [i for i, name in enumerate(self._given_names(kind)) if fnmatch.fnmatchcase(name, which)]
+        return found or [self._number(kind, which)]  # a name may hold such marks itself
+
+    def _given_names(self, kind: str) -> list[str]:
+        """Return the names of a kind, empty where there is none."""
+        count = getattr(self.model, _COUNTS[kind])
+        return [mujoco.mj_id2name(self.model, KINDS[kind], number) or "" for number in range(count)]
+
+    def _not_found(self, kind: str, which: str | int) -> str:
+        """Return what there is instead, of the kind asked for and then of every other, the nearest names first."""
+        kinds = [kind, *(other for other in KINDS if other != kind)]
+        listed = [self._listed(each, str(which), LISTED if each == kind else LISTED_OTHERS) for each in kinds]
+        return f"there is no {kind} {which!r}; the model has {'; '.join(listed)}."
+
+    def _listed(self, kind: str, wanted: str, most: int) -> str:
+        given = self._given_names(kind)
+        names = [name for name in given if name]
+        near = difflib.get_close_matches(wanted, names, n=most, cutoff=0.4)
         ordered = near + [name for name in names if name not in near]
-        more = f" and {len(ordered) - LISTED} more" if len(ordered) > LISTED else ""
-        return f"no {kind}" if not names else f"{len(names)}: " + ", ".join(ordered[:LISTED]) + more
+        parts = ordered[:most] + ([f"{len(names) - most} more"] if len(names) > most else [])
+        if len(names) < len(given):
+            parts.append(f"{len(given) - len(names)} without a name, by number")
+        if not given:
+            return f"no {kind}"
+        return f"{len(given)} {PLURALS[kind] if len(given) > 1 else kind}: {', '.join(parts)}"
+
+
+def _model_of(file: Path) -> mujoco.MjModel:
+    """Return the model of an MJCF or URDF file.
+
+    Raises:
+        ModelError: no such file, one that MuJoCo cannot read, or a URDF with `package://` paths.
+    """
+    if not file.is_file():
+        raise ModelError(f"there is no file {str(file)!r}; expected an MJCF (.xml) or URDF (.urdf) file.")
+    if file.suffix == ".urdf" and "package://" in file.read_text(encoding="utf-8"):
+        raise ModelError(
+            f"{file.name} has package:// paths, which only ROS can resolve; replace them by paths relative to the file."
+        )
+    try:
+        return mujoco.MjModel.from_xml_path(str(file))
+    except ValueError as error:
+        raise ModelError(f"MuJoCo cannot read {file.name}: {error}") from error
