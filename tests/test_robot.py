@@ -39,6 +39,23 @@ def test_a_frame_that_does_not_exist_lists_every_kind_nearest_first(robot):
         robot.frame(site="fingre")
 
 
+def test_a_keyframe_is_a_position_by_name_or_number():
+    keys = '<keyframe><key name="home" qpos="1 0 0 0 0.5"/><key qpos="0 1 0 0 0"/></keyframe></mujoco>'
+    robot = Robot(mujoco.MjModel.from_xml_string(XML.replace("</mujoco>", keys)))
+    robot.update(robot.keyframe("home"))
+    assert robot.q.tolist() == [1.0, 0.0, 0.0, 0.0, 0.5] == robot.keyframe(0).tolist()
+    assert robot.keyframe(1).tolist() == [0.0, 1.0, 0.0, 0.0, 0.0]
+    with pytest.raises(
+        InputError, match=r"no keyframe 'hom'; the model has 2 keyframes: home, 1 without a name, by number\."
+    ):
+        robot.keyframe("hom")
+
+
+def test_a_truth_value_is_no_number_of_a_part(robot):
+    with pytest.raises(InputError, match="no body True"):
+        robot.body(True)
+
+
 def test_long_lists_are_cut():
     geoms = "".join(f'<geom name="g{i}" size="1"/>' for i in range(30))
     robot = Robot(mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>"))

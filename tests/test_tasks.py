@@ -127,6 +127,12 @@ BAD: dict[str, tuple[Callable[[Robot], object], str]] = {
     "gain": (lambda robot: Position(robot, site="tip", gain=1.5), "gain of position of tip is 1.5"),
     "weights": (lambda robot: CentreOfMass(robot, weights=[1, 1]), "weights of centre of mass"),
     "negative weight": (lambda robot: CentreOfMass(robot, weights=-1), "at least 0"),
+    "ragged pose": (lambda robot: Pose(robot, [[1, 0], [0]], site="tip"), "rows are of different lengths"),
+    "ragged weights": (
+        lambda robot: CentreOfMass(robot, weights=[[1], [1, 2]]),
+        "weights of centre of mass is not an array",
+    ),
+    "coupling of a number": (lambda robot: JointCoupling(robot, 3), "coefficients is 3; expected joints and numbers"),
     "coupled ball": (lambda robot: JointCoupling(robot, {"ball": 1.0}), "ball or free joint"),
     "coupling of nothing": (lambda robot: JointCoupling(robot, {}), "no joint"),
     "no frame": (lambda robot: Position(robot), "0 frames"),
@@ -141,3 +147,31 @@ BAD: dict[str, tuple[Callable[[Robot], object], str]] = {
 def test_bad_input_is_one_clear_message(ask, message):
     with pytest.raises(InputError, match=message):
         ask(_robot())
+
+
+@pytest.mark.parametrize("kind", ["position", "orientation", "pose", "axis", "centre of mass", "posture", "coupling"])
+def test_half_way_between_two_targets_is_as_far_from_one_as_from_the_other_and_half_of_the_way(kind):
+    robot = _robot()
+    task = TASKS[kind](robot)
+    if kind != "coupling":
+        first = (
+            type(task)(robot) if kind in ("posture", "centre of mass") else type(task)(robot, task._now(robot), site="tip")
+        )
+        robot.integrate(np.random.default_rng(2).normal(size=robot.model.nv), 0.3)
+        second = (
+            type(task)(robot) if kind in ("posture", "centre of mass") else type(task)(robot, task._now(robot), site="tip")
+        )
+        one, other = first.target, second.target
+    else:
+        one, other = task.target, float(-task.rows(robot)[1][0] + task.target)
+    whole = _distance(task, robot, one)
+    task.target = task.between(one, other, 0.5)
+    assert whole > 0.05
+    assert np.linalg.norm(task.rows(robot)[1]) == pytest.approx(0.5 * whole)
+    assert _distance(task, robot, task.between(one, other, 0.0)) == pytest.approx(whole)
+    assert _distance(task, robot, task.between(one, other, 1.0)) == pytest.approx(0.0, abs=1e-7)
+
+
+def _distance(task: Task, robot: Robot, target: object) -> float:
+    task.target = target
+    return float(np.linalg.norm(task.rows(robot)[1]))

@@ -147,6 +147,8 @@ def _core(robot: Robot, geom: int, point: Array) -> Array:
 
 def _moving_pairs(robot: Robot, pairs: Sequence[tuple[str | int, str | int]]) -> list[tuple[int, int]]:
     """Return the numbers of all pairs, each once, of bodies that a joint moves against each other."""
+    if isinstance(pairs, str) or not isinstance(pairs, Sequence):
+        raise InputError(f"pairs is {pairs!r}; expected pairs of geoms such as [('hand', 'table')].")
     found: dict[tuple[int, int], None] = {}
     for pair in pairs:
         if not isinstance(pair, tuple | list) or len(pair) != 2:

@@ -7,10 +7,12 @@ from enum import Enum
 import numpy as np
 
 from prioritized_ik.guard import Limit
-from prioritized_ik.motion import RECOVERY, Levels, Motion, grouped, solve_step
+from prioritized_ik.motion import RECOVERY, Levels, grouped, solve_step
+from prioritized_ik.problem import IKProblem
 from prioritized_ik.robot import Robot
 from prioritized_ik.solvers.methods import Method
 from prioritized_ik.solvers.registry import DEFAULT
+from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.tasks.task import Task
 from prioritized_ik.validation import Array, at_least, positive
 
@@ -25,6 +27,7 @@ class Ending(Enum):
     OUT_OF_REACH = "at rest with no limit in the way: no small step brings the required tasks closer"
     STUCK = "at rest, held back by limits"
     OUT_OF_STEPS = "still moving after the last step allowed"
+    SOLVER_FAILED = "the solver gave no step, so the robot stopped"
 
 
 @dataclass(frozen=True)
@@ -89,39 +92,57 @@ def reach(
     """
     least = positive("tolerance", tolerance)
     wanted = [task for tasks in grouped(levels)[: at_least("required", required, 1)] for task in tasks]
-    errors = _errors(robot, wanted)
+    most = at_least("max_steps", max_steps, 1)
+    errors, taken = errors_of(robot, wanted), 0
     held: tuple[str, ...] = ()
-    nearest, ending, taken = _largest(errors), Ending.OUT_OF_STEPS, 0
-    for number in range(1, at_least("max_steps", max_steps, 1) + 1):
-        if _largest(errors) <= least:
-            ending = Ending.REACHED
-            break
+    nearest = _largest(errors)
+    ending = Ending.REACHED if nearest <= least else Ending.OUT_OF_STEPS
+    while ending is Ending.OUT_OF_STEPS and taken < most:
         motion = solve_step(robot, levels, limits, dt, damping=damping, solver=solver)
         robot.integrate(motion.velocity, dt)
-        errors, taken = _errors(robot, wanted), number
+        errors, taken = errors_of(robot, wanted), taken + 1
         nearest = min(nearest, _largest(errors))
         if progress is not None:
-            progress(number, _largest(errors))
-        if np.linalg.norm(motion.problem.to_metric(motion.velocity * dt)) <= REST * least:
-            held = _held_by(motion, required)
-            ending = Ending.STUCK if held else Ending.OUT_OF_REACH
-            break
-    if _largest(errors) <= least:
-        ending = Ending.REACHED
-    return Reached(ending, robot.q, errors, nearest, () if ending is Ending.REACHED else held, taken)
+            progress(taken, _largest(errors))
+        ending, held = ending_after(motion.problem, motion.step, _largest(errors), least, required)
+    return Reached(ending, robot.q, errors, nearest, held, taken)
 
 
-def _errors(robot: Robot, tasks: Sequence[Task]) -> dict[str, float]:
+def errors_of(robot: Robot, tasks: Sequence[Task]) -> dict[str, float]:
+    """Return ‖e‖ of each task by name, rows without weight left out."""
     return {task.name: float(np.linalg.norm(np.sign(task.weights) * task.rows(robot)[1])) for task in tasks}
+
+
+def ending_after(
+    problem: IKProblem, step: JointStep, error: float, tolerance: float, required: int
+) -> tuple[Ending, tuple[str, ...]]:
+    """Return how things stand after a step, and the names of the limits that hold the required levels back.
+
+    Args:
+        problem: of the step.
+        step: what was taken.
+        error: the largest of the required tasks' ‖e‖ after it.
+        tolerance: of that error.
+        required: how many levels of tasks, from the first, are to be met.
+    """
+    if step.dtheta is None:
+        return Ending.SOLVER_FAILED, ()
+    if error <= tolerance:
+        return Ending.REACHED, ()
+    if np.linalg.norm(problem.to_metric(step.dtheta)) > REST * tolerance:
+        return Ending.OUT_OF_STEPS, ()
+    held = _held_by(problem, step, required)
+    return (Ending.STUCK if held else Ending.OUT_OF_REACH), held
 
 
 def _largest(errors: dict[str, float]) -> float:
     return max(errors.values(), default=0.0)
 
 
-def _held_by(motion: Motion, required: int) -> tuple[str, ...]:
+def _held_by(problem: IKProblem, step: JointStep, required: int) -> tuple[str, ...]:
     """Return the limits that hold the required levels back."""
-    assert motion.step.certificate is not None
-    first = sum(level.name == RECOVERY for level in motion.problem.levels)
-    held = motion.step.certificate.held_by[first : first + required]
+    if step.certificate is None:
+        return ()
+    first = sum(level.name == RECOVERY for level in problem.levels)
+    held = step.certificate.held_by[first : first + required]
     return tuple(dict.fromkeys(name for names in held for name in names))

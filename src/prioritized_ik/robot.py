@@ -1,6 +1,5 @@
 """A robot of any MuJoCo model: its state, its parts by name or number, its frames and their Jacobians."""
 
-import difflib
 import fnmatch
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError, ModelError
 from prioritized_ik.limits import joint_metric
-from prioritized_ik.validation import Array, finite_array, non_negative
+from prioritized_ik.validation import Array, finite_array, nearest_first, non_negative, shape_of
 
 #: Kinds of parts that are found by name or number.
 KINDS = {
@@ -19,9 +18,11 @@ KINDS = {
     "body": mujoco.mjtObj.mjOBJ_BODY,
     "site": mujoco.mjtObj.mjOBJ_SITE,
     "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "keyframe": mujoco.mjtObj.mjOBJ_KEY,
 }
-PLURALS = {"joint": "joints", "body": "bodies", "site": "sites", "geom": "geoms"}
-_COUNTS = {"joint": "njnt", "body": "nbody", "site": "nsite", "geom": "ngeom"}
+PLURALS = {"joint": "joints", "body": "bodies", "site": "sites", "geom": "geoms", "keyframe": "keyframes"}
+_COUNTS = {"joint": "njnt", "body": "nbody", "site": "nsite", "geom": "ngeom", "keyframe": "nkey"}
+PARTS = ("joint", "body", "site", "geom")  # kinds that are mixed up with each other
 LISTED = 20  # names of a kind in a message; robots have hundreds
 LISTED_OTHERS = 6  # names of each other kind
 
@@ -105,6 +106,10 @@ class Robot:
         """Return the number of a geom, by name or number; most geoms of real models have no name."""
         return self._number("geom", which)
 
+    def keyframe(self, which: str | int) -> Array:
+        """Return the position `(nq,)` of a keyframe of the model, by name or number, for `update`."""
+        return np.array(self.model.key_qpos[self._number("keyframe", which)])
+
     def joints(self, which: str | int) -> list[int]:
         """Return the numbers of joints, by name, by pattern such as `left*` (see `fnmatch`), or by number."""
         return self._numbers("joint", which)
@@ -168,7 +173,7 @@ class Robot:
         return int(getattr(self.model, f"{frame.kind}_bodyid")[frame.number])
 
     def _position(self, q: ArrayLike) -> Array:
-        given = np.shape(q)
+        given = shape_of("q", q)
         if given != (self.model.nq,):
             raise InputError(
                 f"q has shape {given}; expected ({self.model.nq},): the model has nq = {self.model.nq} positions and "
@@ -182,7 +187,7 @@ class Robot:
             number = mujoco.mj_name2id(self.model, KINDS[kind], which)
             if number >= 0:
                 return int(number)
-        elif isinstance(which, int | np.integer) and 0 <= which < count:
+        elif isinstance(which, int | np.integer) and not isinstance(which, bool) and 0 <= which < count:
             return int(which)
         raise InputError(self._not_found(kind, which))
 
@@ -199,15 +204,14 @@ class Robot:
 
     def _not_found(self, kind: str, which: str | int) -> str:
         """Return what there is instead, of the kind asked for and then of every other, the nearest names first."""
-        kinds = [kind, *(other for other in KINDS if other != kind)]
+        kinds = [kind, *(other for other in PARTS if other != kind and kind in PARTS)]
         listed = [self._listed(each, str(which), LISTED if each == kind else LISTED_OTHERS) for each in kinds]
         return f"there is no {kind} {which!r}; the model has {'; '.join(listed)}."
 
     def _listed(self, kind: str, wanted: str, most: int) -> str:
         given = self._given_names(kind)
         names = [name for name in given if name]
-        near = difflib.get_close_matches(wanted, names, n=most, cutoff=0.4)
-        ordered = near + [name for name in names if name not in near]
+        ordered = nearest_first(wanted, names)
         parts = ordered[:most] + ([f"{len(names) - most} more"] if len(names) > most else [])
         if len(names) < len(given):
             parts.append(f"{len(given) - len(names)} without a name, by number")

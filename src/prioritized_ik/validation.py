@@ -1,7 +1,8 @@
 """Checks of the caller's values, each raising one `InputError` that says what to do about it."""
 
+import difflib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -66,6 +67,12 @@ def one_of(name: str, value: str, choices: Iterable[str]) -> str:
     return value
 
 
+def nearest_first(wanted: str, names: Sequence[str]) -> list[str]:
+    """Return `names`, those that resemble `wanted` first."""
+    near = difflib.get_close_matches(wanted, names, n=max(len(names), 1), cutoff=0.4)
+    return list(dict.fromkeys([*near, *names]))
+
+
 def finite_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     """Return a read-only float copy of `value`, which must be finite and of `shape` (None: any length).
 
@@ -94,12 +101,24 @@ def shaped_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> 
 def _array_of_shape(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     try:
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is not an array of numbers ({error}); expected shape {_text(shape)}.") from error
     if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
         raise InputError(f"{name} has shape {array.shape}; expected {_text(shape)}.")
     array.setflags(write=False)
     return array
+
+
+def shape_of(name: str, value: ArrayLike) -> tuple[int, ...]:
+    """Return the shape of `value`.
+
+    Raises:
+        InputError: it has none, because its rows are of different lengths.
+    """
+    try:
+        return np.shape(value)
+    except ValueError as error:
+        raise InputError(f"{name} is not an array: its rows are of different lengths.") from error
 
 
 def _refuse_unusable(name: str, array: Array) -> None:

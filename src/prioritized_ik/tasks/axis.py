@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 from prioritized_ik.errors import InputError
 from prioritized_ik.robot import Robot
 from prioritized_ik.tasks.task import FrameTask
-from prioritized_ik.tasks.turns import across, shortest_turn, unit
+from prioritized_ik.tasks.turns import across, shortest_turn, turned, unit
 from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array, finite_array
 
@@ -50,6 +50,10 @@ class Axis(_AxisTask):
     """
 
     kind = "axis"
+
+    def between(self, one: Array, other: Array, share: float) -> Array:
+        """Return the direction a `share` of the shortest turn from one to another."""
+        return turned(np.eye(3), share * shortest_turn(one, other)) @ one
 
     def _now(self, robot: Robot) -> Array:
         return self._pointing(robot)

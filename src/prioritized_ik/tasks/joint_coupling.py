@@ -30,6 +30,8 @@ class JointCoupling(Task):
         gain: float = 1.0,
         weights: ArrayLike = 1.0,
     ) -> None:
+        if not isinstance(coefficients, Mapping):
+            raise InputError(f"coefficients is {coefficients!r}; expected joints and numbers such as {{'left': 1.0}}.")
         super().__init__(robot, 1, "coupling of " + " and ".join(map(str, coefficients)), gain, weights)
         if not coefficients:
             raise InputError("a joint coupling has no joint; expected coefficients such as {'left': 1.0, 'right': -1.0}.")

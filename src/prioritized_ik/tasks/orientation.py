@@ -4,7 +4,7 @@ from numpy.typing import ArrayLike
 
 from prioritized_ik.robot import Robot
 from prioritized_ik.tasks.task import FrameTask
-from prioritized_ik.tasks.turns import rotation_of, turn_between
+from prioritized_ik.tasks.turns import rotation_of, turn_between, turned
 from prioritized_ik.validation import Array
 
 
@@ -24,6 +24,10 @@ class Orientation(FrameTask):
 
     def _checked(self, value: ArrayLike) -> Array:
         return rotation_of(f"target of {self.name}", value)
+
+    def between(self, one: Array, other: Array, share: float) -> Array:
+        """Return the rotation a `share` of the shortest turn from one to another."""
+        return turned(one, share * turn_between(one, other))
 
     def lever(self, robot: Robot) -> float:
         """Return 1: turns add up to first order only."""

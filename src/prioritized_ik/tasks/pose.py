@@ -6,8 +6,8 @@ from numpy.typing import ArrayLike
 from prioritized_ik.errors import InputError
 from prioritized_ik.robot import Robot
 from prioritized_ik.tasks.task import FrameTask, extent_lever
-from prioritized_ik.tasks.turns import rotation_of, turn_between
-from prioritized_ik.validation import Array
+from prioritized_ik.tasks.turns import rotation_of, turn_between, turned
+from prioritized_ik.validation import Array, finite_array, shape_of
 
 
 class Pose(FrameTask):
@@ -29,13 +29,19 @@ class Pose(FrameTask):
         return pose
 
     def _checked(self, value: ArrayLike) -> Array:
-        if np.shape(value) != (4, 4):
-            raise InputError(f"target of {self.name} has shape {np.shape(value)}; expected a homogeneous matrix (4, 4).")
-        pose = np.array(value, dtype=float)
-        if not np.isfinite(pose).all() or not np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]):
-            raise InputError(f"target of {self.name} is {pose.tolist()}; expected finite numbers, the last row 0, 0, 0, 1.")
+        shape = shape_of(f"target of {self.name}", value)
+        if shape != (4, 4):
+            raise InputError(f"target of {self.name} has shape {shape}; expected a homogeneous matrix (4, 4).")
+        pose = finite_array(f"target of {self.name}", value, (4, 4))
+        if not np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0]):
+            raise InputError(f"target of {self.name} is {pose.tolist()}; expected the last row 0, 0, 0, 1.")
         rotation_of(f"rotation in the target of {self.name}", pose[:3, :3])
-        pose.setflags(write=False)
+        return pose
+
+    def between(self, one: Array, other: Array, share: float) -> Array:
+        """Return the pose on the straight line, and a `share` of the shortest turn, from one to another."""
+        pose = (1.0 - share) * one + share * other
+        pose[:3, :3] = turned(one[:3, :3], share * turn_between(one[:3, :3], other[:3, :3]))
         return pose
 
     def lever(self, robot: Robot) -> float:

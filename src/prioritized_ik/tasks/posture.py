@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from prioritized_ik.errors import InputError
 from prioritized_ik.robot import Robot
 from prioritized_ik.tasks.task import Task
-from prioritized_ik.validation import Array, finite_array
+from prioritized_ik.validation import Array, finite_array, shape_of
 
 
 class Posture(Task):
@@ -34,10 +34,17 @@ class Posture(Task):
 
     @target.setter
     def target(self, value: ArrayLike) -> None:
-        nq = self._model.nq
-        if np.shape(value) != (nq,):
-            raise InputError(f"target of the posture has shape {np.shape(value)}; expected a position ({nq},), as q.")
+        nq, shape = self._model.nq, shape_of("target of the posture", value)
+        if shape != (nq,):
+            raise InputError(f"target of the posture has shape {shape}; expected a position ({nq},), as q.")
         self._target = finite_array("target of the posture", value, (nq,))
+
+    def between(self, one: Array, other: Array, share: float) -> Array:
+        """Return the position a `share` of the way from one to another; ball joints and free bases turn the short way."""
+        way, position = np.empty(self._model.nv), np.array(one)
+        mujoco.mj_differentiatePos(self._model, way, 1.0, one, other)
+        mujoco.mj_integratePos(self._model, position, way, share)
+        return position
 
     def _rows(self, robot: Robot) -> tuple[Array, Array]:
         error = np.empty(robot.model.nv)

@@ -1,14 +1,14 @@
 """What all tasks have in common."""
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.robot import Frame, Robot
-from prioritized_ik.validation import Array, finite_array, gain_of
+from prioritized_ik.validation import Array, finite_array, gain_of, shape_of
 
 
 class Task(ABC):
@@ -37,7 +37,7 @@ class Task(ABC):
         self._model = robot.model
         self.size, self.name = size, name
         self.gain = gain_of(f"gain of {name}", gain)
-        each = np.full(size, weights) if np.ndim(weights) == 0 else weights
+        each = weights if shape_of(f"weights of {name}", weights) else np.full(size, weights)
         self.weights = finite_array(f"weights of {name}", each, (size,))
         if (self.weights < 0.0).any():
             raise InputError(f"weights of {name} are {self.weights.tolist()}; expected numbers of at least 0.")
@@ -58,6 +58,10 @@ class Task(ABC):
         `solve_step` damps by it: Gauss-Newton leaves out e times the second derivative.
         """
         return 0.0
+
+    def between(self, one: Any, other: Any, share: float) -> Any:
+        """Return the target that is a `share`, from 0 to 1, of the way from one to another, both as `target` has them."""
+        return (1.0 - share) * one + share * other
 
     @abstractmethod
     def _rows(self, robot: Robot) -> tuple[Array, Array]: ...

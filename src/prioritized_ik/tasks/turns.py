@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.tolerances import ROUNDING
-from prioritized_ik.validation import Array, finite_array, read_only
+from prioritized_ik.validation import Array, finite_array, read_only, shape_of
 
 SQUARE = 1e-6  # a given rotation matrix may be this far from one
 
@@ -17,15 +17,16 @@ def rotation_of(name: str, value: ArrayLike) -> Array:
     Raises:
         InputError: another shape, or no rotation.
     """
-    if np.shape(value) == (4,):
+    shape = shape_of(name, value)
+    if shape == (4,):
         quaternion = np.array(finite_array(name, value, (4,)))
         if not quaternion.any():
             raise InputError(f"{name} is a quaternion of zeros; expected a rotation.")
         matrix = np.empty(9)
         mujoco.mju_quat2Mat(matrix, quaternion / np.linalg.norm(quaternion))
         return read_only(matrix.reshape(3, 3))
-    if np.shape(value) != (3, 3):
-        raise InputError(f"{name} has shape {np.shape(value)}; expected a quaternion (4,) or a rotation matrix (3, 3).")
+    if shape != (3, 3):
+        raise InputError(f"{name} has shape {shape}; expected a quaternion (4,) or a rotation matrix (3, 3).")
     matrix = finite_array(name, value, (3, 3))
     if not np.allclose(matrix @ matrix.T, np.eye(3), atol=SQUARE) or np.linalg.det(matrix) < 0.0:
         raise InputError(f"{name} is {matrix.tolist()}; expected a rotation matrix.")
@@ -38,6 +39,14 @@ def turn_between(here: Array, there: Array) -> Array:
     mujoco.mju_mat2Quat(quaternion, (there @ here.T).ravel())
     mujoco.mju_quat2Vel(vector, quaternion, 1.0)
     return vector
+
+
+def turned(rotation: Array, turn: Array) -> Array:
+    """Return `rotation` `(3, 3)` turned by the rotation vector `turn` `(3,)` [rad] of the world."""
+    quaternion, matrix = np.array([1.0, 0.0, 0.0, 0.0]), np.empty(9)
+    mujoco.mju_quatIntegrate(quaternion, turn, 1.0)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3) @ rotation
 
 
 def shortest_turn(here: Array, there: Array) -> Array:
