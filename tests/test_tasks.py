@@ -9,6 +9,8 @@ import pytest
 from prioritized_ik import (
     Axis,
     CentreOfMass,
+    Damping,
+    EndPoint,
     InputError,
     JointCoupling,
     LookAt,
@@ -18,7 +20,11 @@ from prioritized_ik import (
     Posture,
     Robot,
     Task,
+    VirtualArms,
+    VirtualArmsTask,
+    solve_step,
 )
+from prioritized_ik.robot import Frame
 
 #: A free base, and on it a slide, a hinge and a ball joint, each square to none.
 XML = """
@@ -57,6 +63,21 @@ def _ahead(robot: Robot, distance: float) -> np.ndarray:
     return robot.position(tip) + distance * robot.rotation(tip)[:, 2]
 
 
+def _carriage(robot: Robot) -> Frame:
+    return robot.frame(body="carriage")
+
+
+def _in_carriage(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """A point ahead of the tip, and the direction there, in the carriage."""
+    turn = robot.rotation(_carriage(robot)).T
+    place = robot.position(_carriage(robot))
+    return turn @ (_ahead(robot, 0.7) - place), turn @ (_ahead(robot, 1.0) - _ahead(robot, 0.0))
+
+
+def _arms(robot: Robot) -> VirtualArms:
+    return VirtualArms(robot.model, ["tip", EndPoint("body", "arm", (0.1, 0.2, 0.0))], axes="xz")
+
+
 #: Errors that turn are differenced at zero, where their rows are exact; the others anywhere.
 TASKS: dict[str, Callable[[Robot], Task]] = {
     "position": lambda robot: Position(robot, [0.3, -0.2, 0.9], site="tip"),
@@ -66,6 +87,12 @@ TASKS: dict[str, Callable[[Robot], Task]] = {
     "pose": lambda robot: Pose(robot, site="tip"),
     "axis": lambda robot: Axis(robot, _ahead(robot, 1.0) - _ahead(robot, 0.0), site="tip"),
     "look-at": lambda robot: LookAt(robot, _ahead(robot, 0.7), site="tip"),
+    "position in a frame that moves": lambda robot: Position(robot, [0.2, -0.1, 0.5], site="tip", root=_carriage(robot)),
+    "orientation in a frame that moves": lambda robot: Orientation(robot, site="tip", root=_carriage(robot)),
+    "pose in a frame that moves": lambda robot: Pose(robot, site="tip", root=_carriage(robot)),
+    "axis in a frame that moves": lambda robot: Axis(robot, _in_carriage(robot)[1], site="tip", root=_carriage(robot)),
+    "look-at in a frame that moves": lambda robot: LookAt(robot, _in_carriage(robot)[0], site="tip", root=_carriage(robot)),
+    "virtual arms": lambda robot: VirtualArmsTask(robot, _arms(robot), [[0.3, 0.2], [0.1, 0.4]]),
     "centre of mass": lambda robot: CentreOfMass(robot, [0.1, 0.2, 0.3]),
     "posture": Posture,
     "coupling": lambda robot: JointCoupling(robot, {"slide": 2.0, "hinge": -0.5}, 0.3),
@@ -135,6 +162,15 @@ BAD: dict[str, tuple[Callable[[Robot], object], str]] = {
     "coupling of a number": (lambda robot: JointCoupling(robot, 3), "coefficients is 3; expected joints and numbers"),
     "coupled ball": (lambda robot: JointCoupling(robot, {"ball": 1.0}), "ball or free joint"),
     "coupling of nothing": (lambda robot: JointCoupling(robot, {}), "no joint"),
+    "root": (lambda robot: Pose(robot, site="tip", root="arm"), "root is 'arm'; expected a frame such as"),  # type: ignore[arg-type]
+    "its own root": (lambda robot: Pose(robot, site="tip", root=robot.frame(site="tip")), "root is the site tip itself"),
+    "damped joint": (lambda robot: Damping(robot, {"hnge": 1.0}), "no joint 'hnge'; the model has 4 joints: hinge"),
+    "damping of a joint": (lambda robot: Damping(robot, {"ball": [1, 2]}), r"of ball has shape \(2,\); expected \(3,\)"),
+    "negative damping": (lambda robot: Damping(robot, {"ball": -1}), "weights of damping are .*; expected numbers of at"),
+    "no arms": (lambda robot: VirtualArmsTask(robot, ["tip"]), "arms is of type list"),  # type: ignore[arg-type]
+    "arms of another model": (lambda robot: VirtualArmsTask(robot, _arms(_robot())), "virtual arms of another model"),
+    "target of arms": (lambda robot: VirtualArmsTask(robot, _arms(robot), [0, 0]), r"expected \(2, 2\)"),
+    "weights of arms": (lambda robot: VirtualArmsTask(robot, _arms(robot), weights=[1, 2, 3]), "weights of virtual arms"),
     "no frame": (lambda robot: Position(robot), "0 frames"),
     "unknown site": (lambda robot: Position(robot, site="tipp"), "there is no site 'tipp'; the model has 1 site: tip"),
     "another model": (lambda robot: Position(_robot(), site="tip").rows(robot), "task of another model"),
@@ -175,3 +211,41 @@ def test_half_way_between_two_targets_is_as_far_from_one_as_from_the_other_and_h
 def _distance(task: Task, robot: Robot, target: object) -> float:
     task.target = target
     return float(np.linalg.norm(task.rows(robot)[1]))
+
+
+@pytest.mark.parametrize("kind", [Position, Orientation, Pose])
+def test_a_task_in_a_frame_that_moves_follows_it(kind):
+    robot = _robot()
+    task = kind(robot, site="tip", root=_carriage(robot))
+    assert task.name.endswith(" of tip in carriage")
+    robot.integrate([1.0, -0.5, 0.3, 0.2, 0.4, -0.3, 0.7, 0.0, 0.0, 0.0, 0.0], 1.0)  # the base and the slide alone
+    assert task.rows(robot)[1] == pytest.approx(np.zeros(task.size), abs=1e-12)
+
+
+def test_damping_keeps_at_rest_what_the_levels_above_leave_open():
+    robot = _robot()
+    hand = Position(robot, _ahead(robot, 0.01), site="tip")
+    held = solve_step(robot, [hand, Damping(robot, {"float": 1.0, "slide": 1.0})], damping=0.0).velocity
+    free = solve_step(robot, [hand, Damping(robot, {"hinge": 1.0, "ball": [1.0, 1.0, 1.0]})], damping=0.0).velocity
+    assert np.abs(held[:7]).max() < 1e-9
+    assert np.abs(free[7:]).max() < 1e-9
+    assert np.abs(free[:7]).max() > 0.1
+
+
+def test_a_posture_may_weigh_some_joints_only():
+    robot = _robot()
+    there = robot.q
+    robot.integrate(np.r_[np.zeros(6), 0.1, 0.2, 0.0, 0.0, 0.0], 1.0)
+    step = solve_step(robot, [Posture(robot, there, weights={"s*": 1.0})]).velocity * 0.01
+    assert step == pytest.approx(np.r_[np.zeros(6), -0.1, np.zeros(4)])
+
+
+def test_virtual_arms_are_weighted_arm_by_arm():
+    robot = _robot()
+    arms = _arms(robot)
+    each = VirtualArmsTask(robot, arms, weights=[2.0, 3.0])
+    assert each.weights.tolist() == [2.0, 2.0, 3.0, 3.0]
+    assert VirtualArmsTask(robot, arms, weights=[[2, 2], [3, 3]]).weights.tolist() == each.weights.tolist()
+    each.target = arms.positions(robot.data) + 0.01
+    robot.integrate(solve_step(robot, [each]).velocity, 0.01)
+    assert np.abs(each.rows(robot)[1]).max() < 1e-3

@@ -20,6 +20,8 @@ from .tasks.axis import LookAt as LookAt
 from .tasks.centre_of_mass import CentreOfMass as CentreOfMass
 from .tasks.posture import Posture as Posture
 from .tasks.joint_coupling import JointCoupling as JointCoupling
+from .tasks.damping import Damping as Damping
+from .tasks.arms import VirtualArmsTask as VirtualArmsTask
 from .tasks.task import Task as Task
 
 # problem

@@ -1,6 +1,7 @@
 """A robot of any MuJoCo model: its state, its parts by name or number, its frames and their Jacobians."""
 
 import fnmatch
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError, ModelError
 from prioritized_ik.limits import joint_metric
-from prioritized_ik.validation import Array, finite_array, nearest_first, non_negative, shape_of
+from prioritized_ik.validation import Array, finite_array, nearest_first, non_negative, read_only, shape_of
 
 #: Kinds of parts that are found by name or number.
 KINDS = {
@@ -135,6 +136,29 @@ class Robot:
         number = self.joint(joint)
         ends = [*self.model.jnt_dofadr.tolist(), self.model.nv]
         return slice(ends[number], ends[number + 1])
+
+    def dof_values(self, name: str, values: ArrayLike | Mapping[str | int, ArrayLike], otherwise: float = 0.0) -> Array:
+        """Return one value a degree of freedom `(nv,)`.
+
+        Args:
+            name: what messages call the values.
+            values: one for all, `(nv,)`, or by joint (name, pattern or number): one for the joint or one for each of its
+                degrees of freedom, a later entry in place of an earlier one.
+            otherwise: for joints that are not named.
+
+        Raises:
+            InputError: a joint that does not exist, or values of another length.
+        """
+        if not isinstance(values, Mapping):
+            each = values if shape_of(name, values) else np.full(self.model.nv, values)
+            return finite_array(name, each, (self.model.nv,))
+        filled = np.full(self.model.nv, otherwise)
+        for which, value in values.items():
+            for number in self.joints(which):
+                dofs = self.dofs(number)
+                what, count = f"{name} of {which}", dofs.stop - dofs.start
+                filled[dofs] = finite_array(what, value if shape_of(what, value) else np.full(count, value), (count,))
+        return read_only(filled)
 
     def frame(
         self, *, body: str | int | None = None, site: str | int | None = None, geom: str | int | None = None

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.robot import Robot
+from prioritized_ik.robot import Frame, Robot
 from prioritized_ik.tasks.task import FrameTask
 from prioritized_ik.tasks.turns import across, shortest_turn, turned, unit
 from prioritized_ik.tolerances import ROUNDING
@@ -25,23 +25,24 @@ class _AxisTask(FrameTask):
         body: str | int | None = None,
         site: str | int | None = None,
         geom: str | int | None = None,
+        root: Frame | None = None,
         gain: float = 1.0,
         weights: ArrayLike = 1.0,
     ) -> None:
         self._axis = unit(f"axis of {self.kind}", axis)
-        super().__init__(robot, target, body=body, site=site, geom=geom, gain=gain, weights=weights)
+        super().__init__(robot, target, body=body, site=site, geom=geom, root=root, gain=gain, weights=weights)
 
     def lever(self, robot: Robot) -> float:
         """Return 1: turns add up to first order only."""
         return 1.0
 
     def _pointing(self, robot: Robot) -> Array:
-        """Return the axis `(3,)` in the world."""
-        return robot.rotation(self.frame) @ self._axis
+        """Return the axis `(3,)` in the world or the root."""
+        return self._rotation(robot) @ self._axis
 
 
 class Axis(_AxisTask):
-    """`axis` `(3,)`, fixed to a frame, along the direction `target` `(3,)` of the world; turns about it are free.
+    """`axis` `(3,)`, fixed to a frame, along the direction `target` `(3,)` of the world or `root`; turns about it are free.
 
     Two rows [rad], across the axis: the shortest turn that is left.
 
@@ -64,11 +65,11 @@ class Axis(_AxisTask):
     def _rows(self, robot: Robot) -> tuple[Array, Array]:
         here = self._pointing(robot)
         sides = across(here)
-        return sides @ robot.jacobians(self.frame)[1], sides @ shortest_turn(here, self.target)
+        return sides @ self._jacobians(robot)[1], sides @ shortest_turn(here, self.target)
 
 
 class LookAt(_AxisTask):
-    """`axis` `(3,)`, fixed to a frame, through the point `target` `(3,)` [m] of the world; turns about it are free.
+    """`axis` `(3,)`, fixed to a frame, through the point `target` `(3,)` [m] of world or `root`; turns about it are free.
 
     Two rows [rad], across the axis: the shortest turn that is left. The frame may also move to look.
 
@@ -80,18 +81,18 @@ class LookAt(_AxisTask):
     kind = "look-at"
 
     def _now(self, robot: Robot) -> Array:
-        return robot.position(self.frame) + self._pointing(robot)
+        return self._position(robot) + self._pointing(robot)
 
     def _checked(self, value: ArrayLike) -> Array:
         return finite_array(f"target of {self.name}", value, (3,))
 
     def _rows(self, robot: Robot) -> tuple[Array, Array]:
-        sight = self.target - robot.position(self.frame)
+        sight = self.target - self._position(robot)
         distance = float(np.linalg.norm(sight))
         if distance <= ROUNDING:
             raise InputError(f"target of {self.name} is at the frame's origin; expected a point away from it.")
         here, there = self._pointing(robot), sight / distance
-        linear, angular = robot.jacobians(self.frame)
+        linear, angular = self._jacobians(robot)
         # The axis turns by ω, the line of sight by -there × v / distance: what counts is the one less the other.
         turning = angular + np.cross(there, linear, axisb=0, axisc=0) / distance
         sides = across(here)

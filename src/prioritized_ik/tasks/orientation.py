@@ -9,9 +9,9 @@ from prioritized_ik.validation import Array
 
 
 class Orientation(FrameTask):
-    """A frame turned like `target` in the world: a quaternion `(4,)`, w first, or a rotation matrix `(3, 3)`.
+    """A frame turned like `target` in the world, or in `root`: a quaternion `(4,)`, w first, or a rotation matrix `(3, 3)`.
 
-    As it is now unless given. Three rows [rad], along the world's axes: the rotation vector that is left.
+    As it is now unless given. Three rows [rad], along the axes of world or root: the rotation vector that is left.
 
     Raises:
         InputError: a frame that does not exist, or a target that is no rotation.
@@ -20,7 +20,7 @@ class Orientation(FrameTask):
     kind = "orientation"
 
     def _now(self, robot: Robot) -> Array:
-        return robot.rotation(self.frame)
+        return self._rotation(robot)
 
     def _checked(self, value: ArrayLike) -> Array:
         return rotation_of(f"target of {self.name}", value)
@@ -34,4 +34,4 @@ class Orientation(FrameTask):
         return 1.0
 
     def _rows(self, robot: Robot) -> tuple[Array, Array]:
-        return robot.jacobians(self.frame)[1], turn_between(robot.rotation(self.frame), self.target)
+        return self._jacobians(robot)[1], turn_between(self._rotation(robot), self.target)

@@ -11,7 +11,7 @@ from prioritized_ik.validation import Array, finite_array, shape_of
 
 
 class Pose(FrameTask):
-    """A frame at a pose `target` of the world, a homogeneous matrix `(4, 4)`; as it is now unless given.
+    """A frame at a pose `target` of the world or of `root`, a homogeneous matrix `(4, 4)`; as it is now unless given.
 
     Six rows: three of the origin [m], then three of the rotation [rad]. `weights` trade one against the other; for
     position strictly before orientation, give `Position` and `Orientation` a level each.
@@ -25,7 +25,7 @@ class Pose(FrameTask):
 
     def _now(self, robot: Robot) -> Array:
         pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = robot.rotation(self.frame), robot.position(self.frame)
+        pose[:3, :3], pose[:3, 3] = self._rotation(robot), self._position(robot)
         return pose
 
     def _checked(self, value: ArrayLike) -> Array:
@@ -49,6 +49,6 @@ class Pose(FrameTask):
         return max(extent_lever(robot), 1.0)
 
     def _rows(self, robot: Robot) -> tuple[Array, Array]:
-        turn = turn_between(robot.rotation(self.frame), self.target[:3, :3])
-        error = np.append(self.target[:3, 3] - robot.position(self.frame), turn)
-        return np.vstack(robot.jacobians(self.frame)), error
+        turn = turn_between(self._rotation(robot), self.target[:3, :3])
+        error = np.append(self.target[:3, 3] - self._position(robot), turn)
+        return np.vstack(self._jacobians(robot)), error

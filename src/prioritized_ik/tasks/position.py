@@ -8,7 +8,7 @@ from prioritized_ik.validation import Array, finite_array
 
 
 class Position(FrameTask):
-    """The origin of a frame at `target` `(3,)` [m] in the world; where it is now unless given. Three rows [m].
+    """The origin of a frame at `target` `(3,)` [m] in the world or `root`; where it is now unless given. Three rows [m].
 
     Raises:
         InputError: a frame that does not exist, or a target of another dimension.
@@ -17,7 +17,7 @@ class Position(FrameTask):
     kind = "position"
 
     def _now(self, robot: Robot) -> Array:
-        return robot.position(self.frame)
+        return self._position(robot)
 
     def _checked(self, value: ArrayLike) -> Array:
         return finite_array(f"target of {self.name}", value, (3,))
@@ -27,4 +27,4 @@ class Position(FrameTask):
         return extent_lever(robot)
 
     def _rows(self, robot: Robot) -> tuple[Array, Array]:
-        return robot.jacobians(self.frame)[0], self.target - robot.position(self.frame)
+        return self._jacobians(robot)[0], self.target - self._position(robot)

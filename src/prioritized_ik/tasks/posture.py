@@ -1,5 +1,7 @@
 """All joints at a posture."""
 
+from collections.abc import Mapping
+
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,18 +15,26 @@ from prioritized_ik.validation import Array, finite_array, shape_of
 class Posture(Task):
     """Every joint but free bases at the position `target` `(nq,)`; as it is now unless given. A row a degree of freedom.
 
+    Weights may be given by joint, see `Robot.dof_values`; joints that are not named then have none.
+
     Raises:
-        InputError: a target of another length.
+        InputError: a target of another length, or a joint that does not exist.
     """
 
     def __init__(
-        self, robot: Robot, target: ArrayLike | None = None, *, gain: float = 1.0, weights: ArrayLike = 1.0
+        self,
+        robot: Robot,
+        target: ArrayLike | None = None,
+        *,
+        gain: float = 1.0,
+        weights: ArrayLike | Mapping[str | int, ArrayLike] = 1.0,
     ) -> None:
         if not isinstance(robot, Robot):
             raise InputError(f"robot of a posture is of type {type(robot).__name__}; expected a Robot.")
         model = robot.model
         self._dofs = np.flatnonzero(model.jnt_type[model.dof_jntid] != int(mujoco.mjtJoint.mjJNT_FREE))
-        super().__init__(robot, len(self._dofs), "posture", gain, weights)
+        each = robot.dof_values("weights of posture", weights)[self._dofs] if isinstance(weights, Mapping) else weights
+        super().__init__(robot, len(self._dofs), "posture", gain, each)
         self.target = robot.q if target is None else target
 
     @property

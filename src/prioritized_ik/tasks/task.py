@@ -76,15 +76,17 @@ class FrameTask(Task):
 
     Args:
         robot: see `Task`.
-        target: what is wanted of the frame; where it is now unless given.
+        target: what is wanted of the frame, in the world, or in `root`; where it is now unless given.
         body: the frame, if it is a body's.
         site: the frame, if it is a site's.
         geom: the frame, if it is a geom's.
+        root: a frame of the robot (`robot.frame(body="chest")`) that target and rows are in, in place of the world; it may
+            move.
         gain: see `Task`.
         weights: see `Task`.
 
     Raises:
-        InputError: see `Task`; a frame that does not exist, or a target of another kind.
+        InputError: see `Task`; a frame that does not exist, a root that is none, or a target of another kind.
     """
 
     kind: ClassVar[str] = "frame"
@@ -98,13 +100,16 @@ class FrameTask(Task):
         body: str | int | None = None,
         site: str | int | None = None,
         geom: str | int | None = None,
+        root: Frame | None = None,
         gain: float = 1.0,
         weights: ArrayLike = 1.0,
     ) -> None:
         if not isinstance(robot, Robot):
             raise InputError(f"robot is of type {type(robot).__name__}; expected a Robot.")
         self.frame: Frame = robot.frame(body=body, site=site, geom=geom)
-        super().__init__(robot, self.row_count, f"{self.kind} of {self.frame.name}", gain, weights)
+        self.root = _root(root, self.frame)
+        within = f" in {root.name}" if root is not None else ""
+        super().__init__(robot, self.row_count, f"{self.kind} of {self.frame.name}{within}", gain, weights)
         self.target = self._now(robot) if target is None else target
 
     @property
@@ -123,6 +128,37 @@ class FrameTask(Task):
     @abstractmethod
     def _checked(self, value: ArrayLike) -> Array:
         """Return a target as it is kept."""
+
+    def _position(self, robot: Robot) -> Array:
+        """Return the frame's origin `(3,)` [m] in the world or the root."""
+        here = robot.position(self.frame)
+        if self.root is None:
+            return here
+        return robot.rotation(self.root).T @ (here - robot.position(self.root))
+
+    def _rotation(self, robot: Robot) -> Array:
+        """Return the frame's rotation matrix `(3, 3)` in the world or the root."""
+        here = robot.rotation(self.frame)
+        return here if self.root is None else robot.rotation(self.root).T @ here
+
+    def _jacobians(self, robot: Robot) -> tuple[Array, Array]:
+        """Return the Jacobians `(3, nv)` of `_position` [m] and of the rotation [rad], in the axes of world or root."""
+        linear, angular = robot.jacobians(self.frame)
+        if self.root is None:
+            return linear, angular
+        turn, (root_linear, root_angular) = robot.rotation(self.root).T, robot.jacobians(self.root)
+        lever = robot.position(self.frame) - robot.position(self.root)
+        # d(Rᵀ (p - r)) = Rᵀ (v - v_r - ω_r × (p - r)), with R, r, v_r and ω_r the root's.
+        carried = root_linear + np.cross(root_angular, lever, axisa=0, axisc=0)
+        return turn @ (linear - carried), turn @ (angular - root_angular)
+
+
+def _root(root: Frame | None, frame: Frame) -> Frame | None:
+    if root is not None and not isinstance(root, Frame):
+        raise InputError(f"root is {root!r}; expected a frame such as robot.frame(body='chest').")
+    if root == frame:
+        raise InputError(f"root is the {frame.kind} {frame.name} itself; expected another frame.")
+    return root
 
 
 def extent_lever(robot: Robot) -> float:
