@@ -3,7 +3,10 @@
     library.py     finds, checks and loads what `hatch_build.py` compiled; says why there is none
     workspace.py   arrays that both sides see, filled from a problem
     fast.py        from a problem to the `JointStep` of the core, or to None where the core declines
-    step.hpp       the algorithm; dense.hpp, its linear algebra; core.cpp, its interface
+    core.cpp       the core's interface, exchange.hpp, what it and Python say to each other
+    step.hpp       the course of a call, on layers: posed.hpp (the problem in its metric), factored.hpp (one factorisation
+                   for all levels), face.hpp (the step where some rows hold), certificate.hpp, written.hpp, active_set.hpp
+    dense.hpp      the linear algebra beneath; with singular_values.hpp and nonnegative.hpp
 
 The core answers where every decision is clear: ranks on both sides of their cuts, rows that are tight or are not, a
 certificate that holds with a margin. In every other case it declines and the Python form answers, with no loss but time.

@@ -70,7 +70,7 @@ EXPORTED void core_arrays(Step* step, void** at) {
 // An `Ending`; -1 if memory runs out.
 EXPORTED int core_solve(Step* step, int levels, int level_rows, int rows, int equalities, int question) {
     try {
-        return step->solve(Sizes{step->most.joints, levels, level_rows, rows, equalities}, Step::Question(question));
+        return step->solve(Sizes{step->most.joints, levels, level_rows, rows, equalities}, prioritized_ik::Question(question));
     } catch (const std::bad_alloc&) {
         return -1;
     }

@@ -79,7 +79,7 @@ class CompiledStep(JointStep):
 
 
 class Written(NamedTuple):
-    """What the core wrote of a step, see `Exchange` in step.hpp, and the names that it refers to."""
+    """What the core wrote of a step, see exchange.hpp, and the names that it refers to."""
 
     problem: IKProblem
     rank_tolerance: float

@@ -63,7 +63,7 @@ class Sizes(NamedTuple):
 
 
 class Workspace:
-    """One core and its arrays, see `Exchange` in step.hpp; for one thread at a time."""
+    """One core and its arrays, see exchange.hpp; for one thread at a time."""
 
     def __init__(self, room: Sizes) -> None:
         core = library().core

@@ -1,0 +1,334 @@
+// The fourth layer: the proof that a step is optimal at every level; see certificate.py.
+#pragma once
+
+#include <numeric>
+
+#include "face.hpp"
+#include "nonnegative.hpp"
+
+namespace prioritized_ik {
+
+class Certified : public Face {
+  protected:
+    using Face::Face;
+
+    // Whether u_ is proven optimal from the rows `ids` (t) that it ends on. If not, `wrong_` are the active rows that
+    // pull, most first. See certificate.py; rounding explains nothing away here, so that what holds here holds there.
+    bool prove(const int* ids, int t) {
+        io.lists[PROOFS]++;
+        Scope scope(arena_);
+        carry(ids, t);
+        Multipliers own(*this, ids, t);
+        wrong_.clear();
+        blur_ = off_ = above_ = 0.0;
+        for (int l = 0; l < now_.levels; l++)
+            if (!prove_level(own, l)) return false;
+        return prove_level(own, now_.levels);
+    }
+
+    // What all levels of one proof share.
+    struct Multipliers {
+        int t;
+        const int* ids;
+        const double** row;  // the rows in x
+        double* leak;        // how far a row can move that a level above holds; infinite for the others
+        double* values;      // by level (t)
+        Multipliers(Certified& step, const int* ids_, int t_) : t(t_), ids(ids_) {
+            Arena& arena = step.arena_;
+            row = arena.array<const double*>(t);
+            leak = arena.doubles(t);
+            step.multipliers_ = values = step.proof_memory(t);
+            for (int i = 0; i < t; i++) {
+                row[i] = step.carried(ids[i]);
+                leak[i] = INFINITE;
+            }
+        }
+    };
+
+    double* proof_memory(int t) {
+        const size_t size = size_t(now_.levels + 1) * max(t, 1);
+        if (proof_.size() < size) proof_.resize(size);
+        std::fill(proof_.begin(), proof_.begin() + size, 0.0);
+        return proof_.data();
+    }
+
+    // The gradient of a level in its own coordinates, from its rows as they are given, and what it is made of.
+    struct Gradient {
+        double* values;
+        double terms, cost, steepness, strength, size;
+    };
+
+    // The step without what it does along directions that a level hardly feels and that were cut from it.
+    const double* without_below(const Block& block) {
+        double *x = arena_.doubles(stride), *u = arena_.doubles(stride);
+        into(u_, x);
+        clear(x + block.end(), stride - block.end());
+        out_of(x, u);
+        return u;
+    }
+
+    Gradient gradient_of(const Block& block) {
+        const int n = block.n, s = padded(max(n, 1));
+        Gradient g{arena_.zeros(max(s, stride)), 0.0, 0.0, 0.0, 0.0, 0.0};
+        double *residual = arena_.zeros(s), *slope = arena_.zeros(stride);
+        const double* u = block.is_cut ? without_below(block) : u_;
+        for (int i = 0; i < n; i++) {
+            const int id = block.order[i];
+            const double *row = block.row[id], root = block.root[id], value = root * (dot(row, u, stride) - block.side[id]);
+            residual[i] = value;
+            g.cost += value * value;
+            g.strength += root * root * block.length[id] * block.length[id];
+            add(root * value, row, slope, stride);
+        }
+        g.strength = sqrt(g.strength);
+        g.steepness = 2.0 * norm(slope, m_);
+        g.size = block.demand + block.strength * size_;
+        g.terms = g.size;  // what the change of coordinates leaves of a step that a level does not feel is rounding too
+        if (block.reflectors)
+            for (int j = 0; j < block.rank; j++) {
+                const int from = aligned_start(j);
+                reflect(residual + from, block.reflectors + size_t(j) * s + from, block.taus[j], s - from);
+            }
+        copy(residual, g.values, block.rank);
+        return g;
+    }
+
+    Gradient last_gradient() {
+        Gradient g{arena_.zeros(stride), 0.0, 0.0, 0.0, 0.0, 0.0};
+        double *apart = arena_.zeros(stride), *turned = arena_.doubles(stride);
+        for (int j = 0; j < m_; j++) apart[j] = u_[j] - reference_[j];
+        into(apart, turned);
+        copy(turned + rest_, g.values, m_ - rest_);
+        g.size = size_ + norm(reference_, m_);
+        g.terms = g.size;
+        g.cost = dot(apart, apart, m_);
+        g.steepness = 2.0 * sqrt(g.cost);
+        g.strength = sqrt(double(m_));
+        return g;
+    }
+
+    bool prove_level(Multipliers& own, int l) {
+        constexpr int IMPROVEMENTS = 2;
+        Scope scope(arena_);
+        const bool last = l == now_.levels;
+        const Block* block = last ? nullptr : &levels_[l];
+        const int c = last ? rest_ : block->start, r = last ? m_ - rest_ : block->rank, below = m_ - c - r, v = r + below;
+        const Gradient g = last ? last_gradient() : gradient_of(*block);
+        const double far = last ? 1.0 : block->shortest / tol_.UNFELT;
+
+        // Rows that move in what is left, those held by a level above first.
+        double* normals = arena_.zeros(size_t(own.t + 1) * stride);
+        double *sizes = arena_.doubles(own.t), *combination = arena_.doubles(own.t);
+        int *place = arena_.array<int>(own.t), n = 0, held = 0;
+        const double steep = norm(g.values, r);
+        if (steep > tol_.ROUNDING * g.terms) {
+            for (int pass = 0; pass < 2; pass++)
+                for (int i = 0; i < own.t; i++) {
+                    const double *row = own.row[i], moves = norm(row + c, v);
+                    if ((own.leak[i] < INFINITE) != (pass == 0)) continue;
+                    if (may_be_settled(moves, settled_)) doubt_ = true;
+                    if (!(moves > settled_)) continue;
+                    double* normal = normals + size_t(n) * stride;
+                    copy(row + c, normal, v);
+                    if (block) {
+                        Scope inner(arena_);
+                        block->R.solve_transposed(normal);
+                        for (int j = r; j < v; j++) normal[j] *= far;
+                    }
+                    sizes[n] = norm(normal, v);
+                    for (int j = 0; j < v; j++) normal[j] /= sizes[n];
+                    place[n++] = i;
+                    held += pass == 0;
+                }
+            if (!balance(normals, n, held, v, g.values, combination)) return pulls(own, normals, place, n, held, v, g);
+        }
+
+        // What is left of the gradient; where that is not nothing yet, the combination is improved by what is left.
+        const Span span{block, c, r, below, far};
+        double* rest = arena_.zeros(stride);
+        balance_left(span, own, place, n, combination, sizes, g.values, rest);
+        double excess = as_step(span, rest);
+        for (int again = 0; again < IMPROVEMENTS && n && excess > tol_.MARGIN * tol_.CERTIFIED * scale_; again++) {
+            if (!improve(normals, n, held, v, rest, combination)) break;
+            balance_left(span, own, place, n, combination, sizes, g.values, rest);
+            excess = as_step(span, rest);
+        }
+        const double unfelt = norm(rest + r, below);
+
+        // How much of the rest rounding can feign, and how far that reaches as a step.
+        double *rough = arena_.zeros(padded(v)), *beyond = arena_.doubles(padded(v)), sum = 0.0, net = 0.0, explained = 0.0;
+        for (int j = 0; j < r; j++) rough[j] = tol_.ROUNDING * g.terms;
+        for (int i = 0; i < n; i++) {
+            const double *normal = normals + size_t(i) * stride, share = tol_.ROUNDING * abs(combination[i]);
+            for (int j = 0; j < v; j++) rough[j] += share * abs(normal[j]);
+            sum += abs(combination[i]);
+            net += abs(combination[i]) / sizes[i];
+        }
+        for (int j = 0; j < v; j++) {
+            const double size = j >= r ? far : block ? block->sizes[j] : 1.0;
+            rough[j] += blur_ * net * size;
+            beyond[j] = max(abs(rest[j]) - rough[j], 0.0);
+            explained += size * size * rough[j] * rough[j];
+        }
+        // Strong rows, far from what they ask for, leave rounding in a level's weak directions.
+        const double follows = block ? g.strength * block->inverse_norm : 0.0;
+        const double leaks = block ? tol_.EPS * follows * sqrt(g.cost) * block->longest : 0.0;
+        explained = max(sqrt(explained), leaks);
+
+        // Weak duality.
+        double gap = dot(beyond, beyond, v) + dot(rough, rough, v) + 2.0 * norm(beyond + r, below) / far * scale_, apart = 0.0;
+        double* values = own.values + size_t(l) * own.t;
+        for (int i = 0; i < n; i++) {
+            const int k = place[i];
+            const double pull = combination[i] / sizes[i], slack = abs(reach_[own.ids[k]]);
+            const bool counts = abs(combination[i]) > tol_.NOTHING * (g.terms + sum), back = i < held && pull < 0.0;
+            gap += 2.0 * abs(pull) * (back ? own.leak[k] : slack);
+            if (!counts) continue;
+            values[k] = pull;
+            if (!last && !back) {
+                const int from = below && norm(own.row[k] + c + r, below) > settled_ ? c + r : c;
+                apart += slack / norm(own.row[k] + from, m_ - from);
+                if (slack > tol_.ROUNDING * scale_ / tol_.MARGIN) apart = INFINITE;
+            }
+        }
+        for (int i = held; i < n; i++)
+            if (values[place[i]] > 0.0) own.leak[place[i]] = gap / values[place[i]];
+
+        const double drawn = off_ * (1.0 + follows), carried_over = max(above_, drawn);
+        above_ = max(above_, max(explained, apart));
+        off_ = drawn + (excess > tol_.OFF * scale_ ? excess : 0.0);
+        const double demand = max(last ? g.size : block->demand, max(sqrt(g.cost), tol_.LEAST_DEMAND * g.size));
+        double* figures = io.figures.data() + size_t(l) * FIGURES;
+        const double moved = g.strength * carried_over;
+        figures[LEVEL_GAP] = gap + g.steepness * carried_over + moved * moved;
+        if (!last) blur_ = max(blur_, block->blur);
+        figures[RELATIVE_GAP] = gap > 0.0 && demand > 0.0 ? gap / (demand * demand) : 0.0;
+        figures[STATIONARITY] = excess / scale_;
+        figures[ROUNDING] = max(explained, max(apart, off_)) / scale_;
+        const double allowed = last ? tol_.UNDECIDED : tol_.GAP;  // as in Certificate.holds
+        if (excess <= tol_.CERTIFIED * scale_ && figures[RELATIVE_GAP] <= allowed) return true;
+        return pulls(own, normals, place, n, held, v, g);
+    }
+
+    // Where a level's proof stands: its block, or null, and its coordinates, with those below.
+    struct Span {
+        const Block* block;
+        int start, rank, below;
+        double far;
+    };
+
+    // rest := the gradient with the combination of rows added. The rows are summed before the level's coordinates are
+    // changed, as each by itself would leave more rounding than rows that nearly cancel leave of each other.
+    void balance_left(const Span& at, const Multipliers& own, const int* place, int n, const double* combination,
+                      const double* sizes, const double* gradient, double* rest) {
+        clear(rest, stride);
+        for (int i = 0; i < n; i++)
+            if (combination[i] != 0.0) add(combination[i] / sizes[i], own.row[place[i]] + at.start, rest, at.rank + at.below);
+        if (at.block) {
+            at.block->R.solve_transposed(rest);
+            for (int j = at.rank; j < at.rank + at.below; j++) rest[j] *= at.far;
+        }
+        for (int j = 0; j < at.rank; j++) rest[j] += gradient[j];
+    }
+
+    // How long a step is that a gradient in a level's coordinates asks for.
+    double as_step(const Span& at, const double* rest) {
+        Scope scope(arena_);
+        double* step = arena_.zeros(stride);
+        copy(rest, step, at.rank);
+        if (at.block) at.block->R.solve(step);
+        const double unfelt = at.far * norm(rest + at.rank, at.below);
+        return sqrt(dot(step, step, at.rank) + unfelt * unfelt);
+    }
+
+    // Adds to a combination what balances the rest in least squares; false, and no change, if a sign would be wrong.
+    bool improve(const double* normals, int n, int held, int v, const double* rest, double* combination) {
+        Scope scope(arena_);
+        double* columns = arena_.doubles(size_t(n + 1) * stride);
+        int *ids = arena_.array<int>(n), *order = arena_.array<int>(n), k = 0;
+        for (int i = 0; i < n; i++)
+            if (combination[i] != 0.0) {
+                copy(normals + size_t(i) * stride, columns + size_t(k) * stride, stride);
+                ids[k++] = i;
+            }
+        double* side = columns + size_t(k) * stride;
+        clear(side, stride);
+        for (int j = 0; j < v; j++) side[j] = -rest[j];
+        column_qr(columns, stride, k + 1, k, v, order, true, arena_);
+        int rank = min(k, v);
+        while (rank > 0 && abs(columns[size_t(rank - 1) * stride + rank - 1]) <= tol_.DEPENDENT) rank--;
+        Triangle{columns, stride, rank}.solve(side);
+        for (int j = 0; j < rank; j++)
+            if (const int i = ids[order[j]]; i >= held && combination[i] + side[j] < 0.0) return false;
+        for (int j = 0; j < rank; j++) combination[ids[order[j]]] += side[j];
+        return rank > 0;
+    }
+
+    // The combination of normals (n), of either sign for the first `held`, that balances the gradient best.
+    bool balance(const double* normals, int n, int held, int v, const double* gradient, double* combination) {
+        for (int i = 0; i < n; i++) combination[i] = 0.0;
+        if (!n) return true;
+        Scope scope(arena_);
+        double* side = arena_.zeros(stride);
+        for (int j = 0; j < v; j++) side[j] = -gradient[j];
+        if (!held) return nonnegative_least_squares(normals, stride, n, v, side, combination, arena_);
+        double* columns = arena_.doubles(size_t(n + 1) * stride);
+        int* order = arena_.array<int>(held);
+        copy(normals, columns, size_t(n) * stride);
+        double* turned = columns + size_t(n) * stride;
+        copy(side, turned, stride);
+        column_qr(columns, stride, n + 1, held, v, order, true, arena_);
+        int rank = min(held, v);
+        while (rank > 0 && abs(columns[size_t(rank - 1) * stride + rank - 1]) <= tol_.DEPENDENT) rank--;
+        if (n > held && rank < v) {
+            const int others = n - held, left = v - rank, s = padded(left);
+            double *shorter = arena_.zeros(size_t(others) * s), *target = arena_.zeros(s);
+            for (int i = 0; i < others; i++) copy(columns + size_t(held + i) * stride + rank, shorter + size_t(i) * s, left);
+            copy(turned + rank, target, left);
+            if (!nonnegative_least_squares(shorter, s, others, left, target, combination + held, arena_)) return false;
+        }
+        double* z = arena_.zeros(stride);
+        copy(turned, z, rank);
+        for (int i = held; i < n; i++)
+            if (combination[i] != 0.0) add(-combination[i], columns + size_t(i) * stride, z, rank);
+        Triangle{columns, stride, rank}.solve(z);
+        for (int j = 0; j < rank; j++) combination[order[j]] = z[j];
+        return true;
+    }
+
+    // Finds the active rows whose multipliers are negative if all active ones are taken as equalities; always false.
+    bool pulls(const Multipliers& own, const double* normals, const int* place, int n, int held, int v, const Gradient& g) {
+        Scope scope(arena_);
+        double* columns = arena_.zeros(size_t(n + 1) * stride);
+        int *rows = arena_.array<int>(n), *order = arena_.array<int>(n), *places = arena_.array<int>(n), k = 0;
+        for (int i = 0; i < n; i++)
+            if (active_[own.ids[place[i]]]) {
+                copy(normals + size_t(i) * stride, columns + size_t(k) * stride, v);
+                rows[k++] = i;
+            }
+        double* side = columns + size_t(k) * stride;
+        for (int j = 0; j < v; j++) side[j] = -g.values[j];
+        column_qr(columns, stride, k + 1, k, v, order, true, arena_);
+        int rank = min(k, v);
+        while (rank > 0 && abs(columns[size_t(rank - 1) * stride + rank - 1]) <= tol_.DEPENDENT) rank--;
+        Triangle{columns, stride, rank}.solve(side);
+        std::iota(places, places + rank, 0);
+        std::sort(places, places + rank, [&](int i, int j) { return side[i] < side[j]; });
+        for (const bool is_held : {false, true})  // those held by a level above may have either sign, if they are held
+            for (int j = 0; j < rank; j++) {
+                const int row = rows[order[places[j]]];
+                if ((row < held) == is_held && side[places[j]] < 0.0) wrong_.push_back(own.ids[place[row]]);
+            }
+        return false;
+    }
+
+    double* multipliers_ = nullptr;
+    uint8_t* active_ = nullptr;
+    std::vector<int> wrong_;  // active rows to drop in turn
+
+  private:
+    std::vector<double> proof_;
+    double blur_ = 0.0, off_ = 0.0, above_ = 0.0;
+};
+
+}  // namespace prioritized_ik

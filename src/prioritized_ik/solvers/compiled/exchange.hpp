@@ -1,0 +1,87 @@
+// What the core and Python say to each other: tolerances, endings, and arrays that both see.
+#pragma once
+
+#include <cstdint>
+
+#include "dense.hpp"
+
+namespace prioritized_ik {
+
+// Every number stands in tolerances.py, under the same name. FIELD(name)
+#define PRIORITIZED_IK_TOLERANCES(FIELD)                                                                                    \
+    FIELD(EPS) FIELD(NOISE) FIELD(DEPENDENT) FIELD(SETTLED_PER_RANK_TOLERANCE) FIELD(PROJECTION) FIELD(CERTIFIED) FIELD(GAP) \
+    FIELD(UNDECIDED) FIELD(ROUNDING) FIELD(UNFELT) FIELD(NOTHING) FIELD(LEAST_DEMAND) FIELD(OFF) FIELD(KEPT) FIELD(DRIFT)    \
+    FIELD(FREE) FIELD(FLOOR) FIELD(ITERATIONS) FIELD(ACCEPTED_VIOLATION) FIELD(MARGIN) FIELD(WEAKEST) FIELD(NEARLY)          \
+    FIELD(CUT_MARGIN) FIELD(EMPTY)
+
+struct Tolerances {
+#define FIELD(name) double name;
+    PRIORITIZED_IK_TOLERANCES(FIELD)
+#undef FIELD
+};
+
+// How a call ended; the names are those of `Ending` in library.py.
+enum Ending : int {
+    CLOSED_FORM,   // no row binds
+    SOLVED,        // rows bind
+    BINDING,       // the closed form breaks a row, and no more was asked for
+    ROUNDING_ROW,  // declined: a row is so short that it may be rounding, or is and cannot be kept
+    RANK,          // declined: a level's rank is not clear
+    EQUALITIES,    // declined: equalities nearly depend on each other
+    NEARLY_DECIDED,  // declined: the levels above nearly decide a row that binds
+    NEARLY_TIGHT,  // declined: a row is nearly tight
+    UNSETTLED,     // declined: the active rows do not come to rest
+    UNPROVEN,      // declined: the certificate does not hold, or without margin
+};
+
+enum Question { STEP, CLOSED_FORM_ONLY, FROM_GUESS_ONLY };  // those of library.py
+
+struct Declined {
+    Ending why;
+};
+
+// How much there is of everything, at most or now.
+struct Sizes {
+    int joints, levels, level_rows, rows, equalities;
+};
+
+enum Count { CORRECTIONS, FACES, PROOFS, ACTIVE, TIGHT, ZERO, HOLDING, COUNTS };  // the first of the lists
+enum Figure { LEVEL_GAP, RELATIVE_GAP, STATIONARITY, ROUNDING, FIGURES };           // of a level
+
+// What the caller writes and reads; arrays of rows have `stride` doubles a row, zeros beyond the joints.
+struct Exchange {
+    // in
+    std::vector<double> matrix, target, weights, damping;  // of the levels, one after the other
+    std::vector<double> lower, upper, row_matrix, row_upper, equality_matrix, equality_target, metric_root, reference;
+    std::vector<double> settings;  // rank tolerance, noise
+    std::vector<int32_t> ends;     // of the levels' rows
+    std::vector<uint8_t> guess;    // upper bounds, lower bounds, rows
+    // out
+    std::vector<double> dtheta;
+    std::vector<double> figures;      // a level: gap, relative gap, stationarity, rounding; then violation, scale, costs
+    std::vector<double> multipliers;  // in the order of the list that names them
+    // First counts: corrections, faces, proofs, and the lengths of the lists that follow. Numbers of the hard rows that the step was computed from, and of those it ends on; of rows that are rounding, the levels' first;
+    // of the rows that hold a level, each after its level's number. Upper bounds come first, then lower bounds, then rows.
+    std::vector<int32_t> lists;
+
+    Exchange(const Sizes& most, size_t stride) {
+        const size_t m = most.joints, all = 2 * m + most.rows, levels = most.levels;
+        matrix.resize(most.level_rows * stride);
+        for (auto* array : {&target, &weights}) array->resize(most.level_rows);
+        damping.resize(levels);
+        for (auto* array : {&lower, &upper, &metric_root, &reference}) array->resize(m);
+        row_matrix.resize(most.rows * stride);
+        row_upper.resize(most.rows);
+        equality_matrix.resize(most.equalities * stride);
+        equality_target.resize(most.equalities);
+        settings.resize(2);
+        ends.resize(levels);
+        guess.resize(all);
+        dtheta.resize(stride);
+        figures.resize(FIGURES * (levels + 1) + 2 + levels);
+        multipliers.resize((levels + 1) * all);
+        lists.resize(COUNTS + 2 * all + most.level_rows + most.rows + 2 * (levels + 1) * all);
+    }
+};
+
+}  // namespace prioritized_ik

@@ -1,0 +1,305 @@
+// The third layer: the step where some rows hold as equalities, and how far that is from the others; see active_set.py.
+#pragma once
+
+#include "factored.hpp"
+
+namespace prioritized_ik {
+
+class Face : public Factored {
+  protected:
+    using Factored::Factored;
+
+    void start_faces() {
+        u_ = arena_.zeros(stride);
+        x_ = arena_.zeros(stride);
+        reach_ = arena_.doubles(all_);
+        slack_ = arena_.doubles(all_);
+        carried_ = arena_.doubles(size_t(all_) * stride);
+        drift_ = arena_.doubles(size_t(all_) * stride);
+        is_carried_ = arena_.array<uint8_t>(all_);
+        has_drift_ = arena_.array<uint8_t>(all_);
+        in_doubt_ = arena_.array<uint8_t>(all_);
+        std::memset(is_carried_, 0, all_);
+        std::memset(has_drift_, 0, all_);
+        std::memset(in_doubt_, 0, all_);
+        broken_ = broken_at_start();
+    }
+
+    const double* carried(int i) const { return carried_ + size_t(i) * stride; }
+
+    // Carries hard rows into x, without what is too little of them to count, which is their drift.
+    void carry(const int* ids, int t) {
+        Scope scope(arena_);
+        double** turned = arena_.array<double*>(t);
+        int *fresh = arena_.array<int>(t), n = 0;
+        for (int k = 0; k < t; k++) {
+            const int i = ids[k];
+            if (is_carried_[i]) continue;
+            is_carried_[i] = 1;
+            turned[n] = arena_.zeros(stride);
+            if (i < 2 * m_) turned[n][i < m_ ? i : i - m_] = i < m_ ? 1.0 : -1.0;
+            else copy(normal_ + size_t(i - 2 * m_) * stride, turned[n], stride);
+            fresh[n++] = i;
+        }
+        chain_.apply(turned, n);
+        for (int k = 0; k < n; k++) {
+            double* row = carried_ + size_t(fresh[k]) * stride;
+            for (int j = 0; j < m_; j++) row[j] = turned[k][place_[j]];
+            clear(row + m_, stride - m_);
+            split_drift(fresh[k], row);
+        }
+    }
+
+    void split_drift(int i, double* row) {
+        double* drift = drift_ + size_t(i) * stride;
+        for (int l = 0; l < now_.levels; l++) {
+            const int c = levels_[l].end();
+            if (c == m_) continue;
+            const double moves = norm(row + c, m_ - c);
+            if (moves <= levels_[l].settled) {
+                if (!has_drift_[i]) clear(drift, stride);
+                has_drift_[i] = 1;
+                for (int j = c; j < m_; j++) drift[j] += row[j], row[j] = 0.0;
+            }
+            if (may_be_settled(moves, levels_[l].settled)) in_doubt_[i] = 1;
+        }
+    }
+
+    // ------------------------------------------------------------------------------------------------------ a face's step
+
+    // x_ and u_ := the strict closed form where the rows `ids` (t) hold. See active_set.face_solution.
+    void face(const int* ids, int t) {
+        io.lists[FACES]++;
+        doubt_ = false;
+        Scope scope(arena_);
+        double *rows = arena_.doubles(size_t(t) * stride), *sides = arena_.doubles(t);
+        bool drifting = false;
+        carry(ids, t);
+        for (int i = 0; i < t; i++) {
+            copy(carried(ids[i]), rows + size_t(i) * stride, stride);
+            sides[i] = side_[ids[i]];
+            drifting = drifting || has_drift_[ids[i]];
+            doubt_ = doubt_ || in_doubt_[ids[i]];
+        }
+        hold(rows, sides, t);
+        if (drifting) {
+            double worst = 0.0;
+            for (int i = 0; i < t; i++) {
+                copy(carried(ids[i]), rows + size_t(i) * stride, stride);
+                const double moved = has_drift_[ids[i]] ? dot(drift_ + size_t(ids[i]) * stride, x_, stride) : 0.0;
+                sides[i] = side_[ids[i]] - moved;
+                worst = max(worst, abs(moved));
+            }
+            if (worst > tol_.DRIFT * norm(x_, m_)) hold(rows, sides, t);
+        }
+        out_of(x_, u_);
+        for (int j = 0, e = 0; e < frozen_; j++)
+            if (io.lower[j] == io.upper[j]) u_[j] = equal_side_[e++];
+    }
+
+    void hold(double* rows, double* sides, int t) {
+        Scope scope(arena_);
+        double* y = arena_.doubles(stride);
+        copy(begin_, x_, stride);
+        for (int l = 0; l < now_.levels; l++) {
+            const Block& block = levels_[l];
+            const int c = block.start, r = block.rank;
+            copy(block.target(), y, r);
+            for (int j = 0; j < c; j++)
+                if (x_[j] != 0.0) add(-x_[j], block.above + size_t(j) * block.R.stride, y, r);
+            if (t) {
+                const int left = left_to_levels_below(rows, sides, t, block.end());
+                meet(rows + size_t(left) * stride, sides + left, t - left, c, r, &block, y);
+                t = left;
+            }
+            block.R.solve(y);
+            copy(y, x_ + c, r);
+        }
+        const int c = rest_;
+        if (has_reference_) {
+            double* wanted = arena_.doubles(stride);
+            into(reference_, wanted);
+            copy(wanted + c, y, m_ - c);
+        } else {
+            clear(y, m_ - c);
+        }
+        if (t) meet(rows, sides, t, c, m_ - c, nullptr, y);
+        copy(y, x_ + c, m_ - c);
+    }
+
+    // Turns rows (t) so that the first ones are independent in the coordinates from c on, and the others zero there.
+    int left_to_levels_below(double* rows, double* sides, int t, int c) {
+        const int below = m_ - c;
+        if (!below) return 0;
+        if (clearly_independent(rows, t, c)) return t;
+        Scope scope(arena_);
+        const int s = padded(t), k = m_ + 1;
+        double* columns = arena_.zeros(size_t(k) * s);
+        int* order = arena_.array<int>(below);
+        for (int i = 0; i < t; i++) {
+            const double* row = rows + size_t(i) * stride;
+            for (int j = 0; j < below; j++) columns[size_t(j) * s + i] = row[c + j];
+            for (int j = 0; j < c; j++) columns[size_t(below + j) * s + i] = row[j];
+            columns[size_t(m_) * s + i] = sides[i];
+        }
+        column_qr(columns, s, k, below, t, order, true, arena_);
+        int left = 0;
+        for (; left < min(below, t); left++) {
+            const double size = abs(columns[size_t(left) * s + left]);
+            if (may_be_settled(size, settled_)) doubt_ = true;
+            if (!(size > settled_)) break;
+        }
+        for (int i = 0; i < t; i++) {
+            double* row = rows + size_t(i) * stride;
+            for (int j = 0; j < below; j++) row[c + order[j]] = i < left ? columns[size_t(j) * s + i] : 0.0;
+            for (int j = 0; j < c; j++) row[j] = columns[size_t(below + j) * s + i];
+            sides[i] = columns[size_t(m_) * s + i];
+        }
+        return left;
+    }
+
+    // Whether rows are independent from column c on, by far, seen from their products.
+    bool clearly_independent(const double* rows, int t, int c) {
+        constexpr double LEAST = 1e-3, SHARE = 1e-8;
+        if (t > m_ - c) return false;
+        Scope scope(arena_);
+        const int s = padded(t);
+        double* gram = arena_.doubles(size_t(t) * s);
+        for (int i = 0; i < t; i++) {
+            double* own = gram + size_t(i) * s;
+            for (int j = 0; j <= i; j++)
+                own[j] = dot(rows + size_t(i) * stride + c, rows + size_t(j) * stride + c, m_ - c);
+            for (int j = 0; j < i; j++) {
+                const double* other = gram + size_t(j) * s;
+                own[j] = (own[j] - dot(own, other, j)) / other[j];
+            }
+            const double size = own[i], rest = size - dot(own, own, i);
+            if (!(rest > SHARE * max(LEAST, size))) return false;
+            own[i] = sqrt(rest);
+        }
+        return true;
+    }
+
+    // y (r), a level's wish in its own coordinates, moves to the nearest that lets rows (t) hold. `block` is null at the rest.
+    void meet(const double* rows, const double* sides, int t, int c, int r, const Block* block, double* y) {
+        if (!t || !r) return;
+        Scope scope(arena_);
+        double *normals = arena_.zeros(size_t(t) * stride), *gaps = arena_.doubles(t);
+        int n = 0;
+        for (int i = 0; i < t; i++) {
+            const double* row = rows + size_t(i) * stride;
+            if (norm(row + c, m_ - c) <= tol_.DEPENDENT) continue;  // it copies other rows
+            double* normal = normals + size_t(n) * stride;
+            clear(normal, stride);
+            copy(row + c, normal, r);
+            if (block) block->R.solve_transposed(normal);
+            const double size = norm(normal, r);
+            if (size == 0.0) continue;
+            for (int j = 0; j < r; j++) normal[j] /= size;
+            gaps[n++] = (sides[i] - dot(row, x_, c)) / size;
+        }
+        if (n) shift(normals, gaps, n, r, y);
+    }
+
+    // y := y + the shortest shift with normals (n) y = gaps; twice, as the first leaves the rounding of a large y.
+    void shift(const double* normals, const double* gaps, int n, int r, double* y) {
+        Scope scope(arena_);
+        const int s = padded(r);
+        double* work = arena_.zeros(size_t(n) * s);
+        double** row = arena_.array<double*>(n);
+        int* ids = arena_.array<int>(n);
+        for (int i = 0; i < n; i++) {
+            row[i] = work + size_t(i) * s;
+            ids[i] = i;
+            copy(normals + size_t(i) * stride, row[i], r);
+        }
+        Reflectors& chain = small_chain_;
+        chain.reset(arena_.doubles(size_t(min(n, r) + 1) * s), min(n, r) + 1, s);
+        double left;
+        const int rank = row_pivoted_lq(row, ids, n, n, 0, r, s, chain, tol_.DEPENDENT, left, arena_);
+        for (int i = 0; i < rank; i++)
+            if (abs(row[i][i]) < tol_.WEAKEST) doubt_ = true;
+        double* z = arena_.doubles(s);
+        for (int again = 0; again < 2; again++) {
+            clear(z, s);
+            for (int i = 0; i < rank; i++) {
+                const double gap = gaps[ids[i]] - dot(normals + size_t(ids[i]) * stride, y, r);
+                z[i] = (gap - dot(row[i], z, i)) / row[i][i];
+            }
+            chain.apply_reversed(z);
+            for (int j = 0; j < r; j++) y[j] += z[j];
+        }
+    }
+
+    // ------------------------------------------------------------------------------------------------------ slacks and scale
+
+    double broken_at_start() {
+        double worst = 0.0;
+        start_ = arena_.zeros(stride);
+        if (equalities_) out_of(begin_, start_);
+        slacks(start_, slack_);
+        for (int i = 0; i < all_; i++) worst = min(worst, slack_[i]);
+        return -worst;
+    }
+
+    void slacks(const double* u, double* slack) {
+        for (int j = 0; j < m_; j++) {
+            slack[j] = side_[j] - u[j];
+            slack[m_ + j] = side_[m_ + j] + u[j];
+        }
+        for (int i = 0; i < now_.rows; i++) {
+            const int k = 2 * m_ + i;
+            slack[k] = side_[k] < INFINITE ? side_[k] - dot(normal_ + size_t(i) * stride, u, stride) : INFINITE;
+        }
+    }
+
+    // Slacks at u_, the worst of them, and what figures of u_ are relative to, see Hierarchy.scale.
+    void measure() {
+        slacks(u_, reach_);
+        worst_ = INFINITE;
+        for (int i = 0; i < all_; i++) worst_ = min(worst_, reach_[i]);
+        size_ = norm(u_, m_);
+        scale_ = size_;
+        if (size_ > tol_.FLOOR * max(closed_form_ < 0.0 ? longest_ : closed_form_, broken_) && size_ > 0.0) return;
+        const double likely = max(closed_form_length(), broken_);
+        Scope scope(arena_);
+        double *positive = arena_.doubles(all_), *slack = arena_.doubles(all_), length = likely;
+        int n = 0;
+        slacks(start_, slack);
+        for (int i = 0; i < all_; i++)
+            if (slack[i] > 0.0 && slack[i] < INFINITE) positive[n++] = slack[i];
+        if (n) {
+            std::nth_element(positive, positive + n / 2, positive + n);
+            length = min(length, positive[n / 2]);
+        }
+        scale_ = max(size_, tol_.FLOOR * (length > 0.0 ? length : 1.0));
+    }
+
+    // The length of the closed form, worked out when a step is so short that it matters.
+    double closed_form_length() {
+        if (closed_form_ < 0.0) {
+            Scope scope(arena_);
+            double *u = arena_.doubles(stride), *x = arena_.doubles(stride);
+            const bool doubt = doubt_;
+            copy(u_, u, stride);
+            copy(x_, x, stride);
+            face(nullptr, 0);
+            closed_form_ = norm(u_, m_);
+            copy(u, u_, stride);
+            copy(x, x_, stride);
+            doubt_ = doubt;
+        }
+        return closed_form_;
+    }
+
+    double *u_ = nullptr, *x_ = nullptr, *reach_ = nullptr, *slack_ = nullptr, *start_ = nullptr;
+    double closed_form_ = 0.0, broken_ = 0.0, worst_ = 0.0, size_ = 0.0, scale_ = 0.0;
+    bool doubt_ = false;
+
+  private:
+    Reflectors small_chain_;
+    double *carried_ = nullptr, *drift_ = nullptr;
+    uint8_t *is_carried_ = nullptr, *has_drift_ = nullptr, *in_doubt_ = nullptr;
+};
+
+}  // namespace prioritized_ik
