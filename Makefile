@@ -55,7 +55,7 @@ readme: setup
 
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
-	    --extra all --extra dev pyproject.toml --output-file requirements.lock
+	    --extra all --extra docs --extra dev pyproject.toml --output-file requirements.lock
 
 clean:
 	rm -rf .venv results
