@@ -18,6 +18,7 @@ exclude_patterns = ["_build"]
 
 default_role = "literal"  # docstrings write code in single backticks
 napoleon_numpy_docstring = False
+napoleon_attr_annotations = False
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True

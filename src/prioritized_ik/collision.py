@@ -68,6 +68,15 @@ class Collision(Limit):
         """Return the distance of every pair `(n,)` [m], at most the largest that gets a row; negative in penetration."""
         return np.array([self._measured(robot, *pair)[0] for pair in self.pairs])
 
+    def nearest_points(self, robot: Robot) -> list[tuple[str, Array, Array]]:
+        """Return what the row of every pair that has one is called, and the pair's nearest points `(3,)`, `(3,)` [m]."""
+        found = []
+        for one, other in self.pairs:
+            distance, segment = self._measured(robot, one, other)
+            if distance < self._reach:
+                found.append((self._row_name(one, other), segment[:3], segment[3:]))
+        return found
+
     def _at(self, robot: Robot, dt: float) -> Guarded:
         gradients, gaps, names = [], [], []
         for one, other in self.pairs:
@@ -76,7 +85,7 @@ class Collision(Limit):
                 continue
             gradients.append(self._gradient(robot, one, other, segment, distance))
             gaps.append(distance - self._least)
-            names.append(f"{self._names[one]} near {self._names[other]}")
+            names.append(self._row_name(one, other))
             if self._outside == "raise" and gaps[-1] < -UNSEEN:
                 raise InputError(f"{names[-1]}: {distance:.6g} m apart, less than min_distance, {self._least:.6g}.")
         if not gaps:
@@ -90,6 +99,9 @@ class Collision(Limit):
         return Guarded(
             rows=rows, recovery=(Rows(matrix[close], -push, [f"{names[i]} return" for i in np.flatnonzero(close)]),)
         )
+
+    def _row_name(self, one: int, other: int) -> str:
+        return f"{self._names[one]} near {self._names[other]}"
 
     def _measured(self, robot: Robot, one: int, other: int) -> tuple[float, Array]:
         """Return the distance of two geoms, and the segment between their nearest points `(6,)`."""

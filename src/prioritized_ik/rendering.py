@@ -46,6 +46,12 @@ def use_working_backend() -> str:
 
 
 @functools.cache
+def works(name: str) -> bool:
+    """Whether backend `name`, one of `BACKENDS`, draws here."""
+    return _probe(name) is None
+
+
+@functools.cache
 def _found(wanted: str) -> tuple[str | None, tuple[str, ...]]:
     """Return the first backend that draws, or None and why each does not; only `wanted` is tried if it is not empty."""
     failures = []

@@ -40,6 +40,10 @@ class CentreOfMass(Task):
     def target(self, value: ArrayLike) -> None:
         self._target = finite_array(f"target of the {self.name}", value, (3,))
 
+    def place(self, robot: Robot) -> Array:
+        """Return where the centre of mass is `(3,)` [m]."""
+        return np.array(robot.data.subtree_com[self._body])
+
     def lever(self, robot: Robot) -> float:
         """Return half the model's extent [m]."""
         return extent_lever(robot)
