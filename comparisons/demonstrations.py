@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from comparisons.command import FILE_WIDTH
-from prioritized_ik.cli import require_extra, writable_file
+from prioritized_ik.cli import writable_file
+from prioritized_ik.extras import require_extra
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-from prioritized_ik.cli import made_folder, require_extra
+from prioritized_ik.cli import made_folder
+from prioritized_ik.extras import require_extra
 
 
 @click.command("export-qpbenchmark")

@@ -26,8 +26,14 @@ limits = [pik.JointRange(robot), pik.Velocity(robot, 3.0)]
 start = [hand.target for hand in hands]
 away = np.array([[0.35, 0.05, -0.3], [0.1, -0.1, 0.35]])  # [m] further than the left hand can go
 
-with Film(sys.argv[1] if len(sys.argv) > 1 else "humanoid_reach.gif", robot, levels, limits,
-          camera=Camera(azimuth=150, elevation=-12, distance=1.8, lookat=(-0.1, -0.22, 0.47)), rate=20) as film:
+with Film(
+    sys.argv[1] if len(sys.argv) > 1 else "humanoid_reach.gif",
+    robot,
+    levels,
+    limits,
+    camera=Camera(azimuth=150, elevation=-12, distance=1.8, lookat=(-0.1, -0.22, 0.47)),
+    rate=20,
+) as film:
     for t in np.linspace(0.0, 1.0, 60):
         for hand, from_, by in zip(hands, start, away, strict=True):
             hand.target = from_ + by * np.sin(np.pi * t) ** 2

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from prioritized_ik.cli import DISAGREES, made_folder, require_extra, writable_file
+from prioritized_ik.cli import DISAGREES, made_folder, writable_file
+from prioritized_ik.extras import require_extra
 
 if TYPE_CHECKING:
     from paper_repro.artefact import Scale

@@ -103,7 +103,7 @@ def test_wind_ends_with_one_when_the_arm_is_not_wound() -> None:
         (["wind", "--shape", "torus"], "unknown shape 'torus'"),
         (["wind", "--formulation", "magic"], "unknown formulation 'magic'; choose one of: lexicographic, damped, slack"),
         (["wind", "--save", "/no/such/folder/e.npz"], "cannot write into '/no/such/folder'"),
-        (["wind", "--record", "arm.bmp"], "unknown kind of picture '.bmp'; choose one of: .png, .gif"),
+        (["wind", "--record", "arm.bmp"], "unknown kind of picture '.bmp'; choose one of: .png, .gif, .webp, .mp4"),
         (["compare", "--solvers", "daqp,nosuch"], "unknown solver 'nosuch'"),
         (["compare", "--solvers", "daqp,daqp"], "solvers names one twice"),
         (["compare", "--directions", "up,left"], "unknown direction 'left'"),

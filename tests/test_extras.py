@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from prioritized_ik.cli import EXTRAS
+from prioritized_ik.extras import EXTRAS
 
 ROOT = Path(__file__).parents[1]
 
 #: Import names of what extras bring; none of them may be needed by the core.
 OPTIONAL = (
-    "PIL clarabel cvxopt cvxpy dask distributed ecos highspy markdown_it matplotlib mink osqp piqp polars proxsuite "
-    "pylatexenc qpalm quadprog scs"
+    "PIL clarabel cvxopt cvxpy dask distributed ecos highspy imageio_ffmpeg markdown_it matplotlib mink mjviser osqp piqp "
+    "polars proxsuite pylatexenc qpalm quadprog scs viser"
 ).split()
 
 HIDE = """
@@ -65,6 +65,7 @@ assert "steps        2" in wound.output, wound.output
         ("mink", ["demo", "minimum-norm"], "compare"),
         ("polars", ["export-qpbenchmark", "nowhere"], "compare"),
         ("PIL", ["wind", "--record", "end.png"], "render"),
+        ("imageio_ffmpeg", ["wind", "--record", "end.mp4"], "render"),
         ("matplotlib", ["paper"], "report"),
     ],
 )

@@ -16,7 +16,8 @@ ROOT = Path(prioritized_ik.__file__).parent
 #: A layer imports those before it; the entries of one layer do not import each other.
 LAYERS = [
     {"errors", "tolerances"},
-    {"validation", "files", "rendering"},
+    {"validation", "files", "rendering", "extras"},
+    {"pictures"},
     {"models", "jacobians"},
     {"virtual_arms"},
     {"touch", "problem", "weights"},
@@ -27,7 +28,7 @@ LAYERS = [
     {"solvers"},
     {"motion"},
     {"reaching"},
-    {"winding", "mink"},
+    {"winding", "mink", "viewer"},
     {"cli", "comparisons", "paper_repro"},
 ]
 SOLVERS = {"qpsolvers", "cvxpy", "daqp", "proxsuite", "osqp"}

@@ -16,7 +16,20 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PACKAGES = {"prioritized_ik": ROOT / "src", "comparisons": ROOT, "paper_repro": ROOT}
 CORE = {"click", "daqp", "lazy-loader", "mujoco", "numpy", "qpsolvers", "rich", "scipy", "threadpoolctl"}
-EXTRAS = {"all", "bench", "cluster", "compare", "dev", "mink", "render", "report", "solvers", "solvers-wide"}
+EXTRAS = {
+    "all",
+    "bench",
+    "cluster",
+    "compare",
+    "dev",
+    "docs",
+    "mink",
+    "render",
+    "report",
+    "solvers",
+    "solvers-wide",
+    "view",
+}
 IN_SOURCE = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "src/prioritized_ik/py.typed")
 UNWANTED = (".venv/", "results/", "__pycache__", ".pyc")
 

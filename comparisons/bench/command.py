@@ -6,7 +6,8 @@ from pathlib import Path
 import click
 
 from comparisons.command import FILE_WIDTH
-from prioritized_ik.cli import require_extra, writable_file
+from prioritized_ik.cli import writable_file
+from prioritized_ik.extras import require_extra
 
 
 @click.command()

@@ -9,20 +9,9 @@ from typing import Any
 
 import click
 
-from prioritized_ik.errors import MissingExtraError, PrioritizedIkError
+from prioritized_ik.errors import PrioritizedIkError
 
 DISAGREES, BAD_INPUT = 1, 2  # exit codes
-
-
-#: Extras of this package, and what each brings that a command imports.
-EXTRAS = {
-    "cluster": ("dask", "distributed"),
-    "compare": ("mink", "polars"),
-    "mink": ("mink",),
-    "render": ("PIL",),
-    "report": ("cvxpy", "markdown_it", "matplotlib", "mink", "PIL", "polars", "pylatexenc"),
-    "solvers": ("cvxpy",),
-}
 
 
 class BadInput(click.ClickException):
@@ -82,7 +71,7 @@ def main() -> None:
 @click.option("--contacts/--no-contacts", default=True, help="Keep links out of the object.")
 @click.option("--steps", default=1500, help="End after this many steps without equilibrium.")
 @click.option("--save", type=click.Path(dir_okay=False), help="Save the episode to this .npz file.")
-@click.option("--record", type=click.Path(dir_okay=False), help="Picture of the end (.png), or of the winding (.gif).")
+@click.option("--record", type=click.Path(dir_okay=False), help="Picture of the end (.png), or film (.gif, .webp, .mp4).")
 def wind(
     direction: str,
     solver: str,
@@ -120,9 +109,8 @@ def wind(
     if save is not None:
         writable_file(save)
     if record is not None:
-        require_extra("render")
+        from prioritized_ik.pictures import kind_of
         from prioritized_ik.rendering import use_working_backend
-        from prioritized_ik.winding.picture import kind_of
 
         kind_of(writable_file(record))
         use_working_backend()
@@ -168,21 +156,6 @@ def wind(
         click.echo(f"recorded     {record}")
     if episode.outcome is not Outcome.WOUND:
         raise SystemExit(DISAGREES)
-
-
-def require_extra(extra: str) -> None:
-    """Return if what an extra of this package brings is installed.
-
-    Raises:
-        PrioritizedIkError: it is not; the message says how to get it.
-    """
-    from importlib.util import find_spec
-
-    missing = [name for name in EXTRAS[extra] if find_spec(name) is None]
-    if missing:
-        raise MissingExtraError(
-            f"{', '.join(missing)} not installed; get the extra by: pip install 'prioritized-ik[{extra}]'."
-        )
 
 
 def writable_file(path: str) -> str:

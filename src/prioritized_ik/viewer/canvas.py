@@ -7,13 +7,11 @@ from types import TracebackType
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from prioritized_ik.pictures import Picture
 from prioritized_ik.rendering import use_working_backend
 from prioritized_ik.validation import Array
 from prioritized_ik.viewer.marks import Mark
-
-Picture = NDArray[np.uint8]
 
 SKY = (0.94, 0.96, 0.98, 1.0)
 FAR = 15.0  # extents of the model; MuJoCo cuts at 50
@@ -82,9 +80,7 @@ class Canvas:
     def __enter__(self) -> "Canvas":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
     def _backdrop(self) -> list[Mark]:

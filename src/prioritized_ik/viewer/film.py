@@ -1,6 +1,5 @@
 """A motion as a file, and one state as a picture, each with its panel."""
 
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -8,17 +7,17 @@ from types import TracebackType
 import numpy as np
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.files import advising, write_whole
+from prioritized_ik.extras import require_extra
 from prioritized_ik.guard import Limit
 from prioritized_ik.motion import Levels, Motion, grouped
+from prioritized_ik.pictures import STILL, Picture, kind_of, write_pictures
 from prioritized_ik.robot import Robot
-from prioritized_ik.validation import one_of, positive
-from prioritized_ik.viewer.canvas import Camera, Canvas, Picture
+from prioritized_ik.validation import positive
+from prioritized_ik.viewer.canvas import Camera, Canvas
 from prioritized_ik.viewer.marks import marks_of
 from prioritized_ik.viewer.panel import Line, lines_of
 
-KINDS = (".gif", ".webp", ".mp4", ".png")
-COLOURS = 128  # of an animated GIF
+Ink = tuple[int, int, int]
 INK, GREEN, RED, PAPER = (40, 44, 52), (33, 135, 84), (196, 46, 60), (255, 255, 255)
 
 
@@ -37,12 +36,13 @@ class Film:
         levels: see `solve_step`; their targets are drawn, and their errors listed.
         limits: see `solve_step`; pairs of a `Collision` that are near each other are joined by a line.
         camera: where from.
-        size: width and height [pixels], even numbers for `.mp4`.
+        size: width and height [pixels].
         rate: frames a second.
         panel: whether the levels are listed in the picture.
 
     Raises:
         InputError: another kind of file, or no way to render here.
+        MissingExtraError: the extra `render` is not installed.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Film:
         rate: float = 20.0,
         panel: bool = True,
     ) -> None:
-        self._path, self._kind = Path(path), one_of("kind of film", Path(path).suffix.lower(), KINDS)
+        self._path, self._kind = Path(path), kind_of(path)
         self._robot, self._levels, self._limits = robot, grouped(levels), limits
         self._rate, self._panel, self._frames = positive("rate", rate), panel, list[Picture]()
         self._canvas = Canvas(robot.model, *size, camera or Camera())
@@ -69,7 +69,7 @@ class Film:
         tasks = [task for tasks in self._levels for task in tasks]
         frame = self._canvas.draw(self._robot.data, marks_of(self._robot, tasks, self._limits, holding))
         frame = _with_panel(frame, lines) if self._panel and lines else frame
-        self._frames = [frame] if self._kind == ".png" else [*self._frames, frame]
+        self._frames = [frame] if self._kind == STILL else [*self._frames, frame]
 
     def close(self) -> None:
         """Write the file.
@@ -80,31 +80,16 @@ class Film:
         self._canvas.close()
         if not self._frames:
             raise InputError(f"{self._path} has no frame; expected add() to be called before the film ends.")
-        with advising("write", self._path):
-            if self._kind == ".mp4":
-                write_whole(self._path, lambda file: file.write(_movie(self._frames, self._rate)))
-            else:
-                write_whole(self._path, self._write_pictures)
+        write_pictures(self._path, self._frames, self._rate)
 
     def __enter__(self) -> "Film":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if kind is None:
             self.close()
         else:
             self._canvas.close()
-
-    def _write_pictures(self, file: object) -> None:
-        from PIL import Image
-
-        pictures = [Image.fromarray(frame) for frame in self._frames]
-        if self._kind == ".gif":  # without dithering, which would not compress
-            pictures = [picture.quantize(COLOURS, dither=Image.Dither.NONE) for picture in pictures]
-        moving = {"save_all": True, "append_images": pictures[1:], "duration": round(1e3 / self._rate), "loop": 0}
-        pictures[0].save(file, self._kind[1:], **({} if self._kind == ".png" else moving))
 
 
 def picture(
@@ -117,30 +102,20 @@ def picture(
     size: tuple[int, int] = (640, 480),
     panel: bool = True,
 ) -> Picture:
-    """Return the picture `(height, width, 3)` of a robot where it is; see `Film`."""
+    """Return the picture `(height, width, 3)` of a robot where it is; see `Film`.
+
+    Raises:
+        InputError: no way to render here.
+        MissingExtraError: the extra `render` is not installed, which the panel needs.
+    """
+    if panel:
+        require_extra("render")
     shown = grouped(levels)
     lines = lines_of(robot, shown, motion)
     holding = {name for line in lines for name in line.holding}
     with Canvas(robot.model, *size, camera or Camera()) as canvas:
         drawn = canvas.draw(robot.data, marks_of(robot, [task for tasks in shown for task in tasks], limits, holding))
     return _with_panel(drawn, lines) if panel and lines else drawn
-
-
-def _movie(frames: Sequence[Picture], rate: float) -> bytes:
-    """Return an MP4 (H.264) that every browser plays."""
-    import imageio_ffmpeg
-
-    height, width, _ = frames[0].shape
-    with tempfile.TemporaryDirectory() as folder:
-        part = Path(folder) / "film.mp4"
-        writer = imageio_ffmpeg.write_frames(
-            str(part), (width, height), fps=rate, codec="libx264", macro_block_size=2, quality=8
-        )
-        writer.send(None)
-        for frame in frames:
-            writer.send(np.ascontiguousarray(frame))
-        writer.close()
-        return part.read_bytes()
 
 
 def _with_panel(frame: Picture, lines: Sequence[Line]) -> Picture:
@@ -151,7 +126,7 @@ def _with_panel(frame: Picture, lines: Sequence[Line]) -> Picture:
     size = max(11, round(image.height / 34))
     font = ImageFont.load_default(size)
     gap, indent = round(1.45 * size), round(1.3 * size)
-    texts = []
+    texts: list[tuple[str, Ink, Ink | None]] = []
     for number, line in enumerate(lines, 1):
         texts.append((f"{number}  {line.name}: {line.error}", INK, GREEN if not line.gives_way else RED))
         if line.gives_way:

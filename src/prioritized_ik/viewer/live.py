@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import Protocol
 
-from prioritized_ik.errors import InputError, MissingExtraError
+from prioritized_ik.errors import InputError
+from prioritized_ik.extras import require_extra
 from prioritized_ik.guard import Limit
 from prioritized_ik.motion import Levels, Motion, grouped
 from prioritized_ik.rendering import works
@@ -48,8 +49,8 @@ class View:
         robot: is shown where it is at each `show`.
         levels: see `solve_step`; their targets are drawn, and their errors listed.
         limits: see `solve_step`; pairs of a `Collision` that are near each other are joined by a line.
-        place: `"window"`, MuJoCo's own viewer, or `"page"`, a web page on localhost; the window unless given, where there is
-            a display that it opens on.
+        place: `"window"`, MuJoCo's own viewer, or `"page"`, a web page on localhost; the window unless given, where
+            there is a display that it opens on.
         port: of the page.
 
     Attributes:
@@ -94,9 +95,7 @@ class View:
     def __enter__(self) -> "View":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
 
@@ -114,10 +113,7 @@ def _window(robot: Robot) -> Screen:
 
 
 def _page(robot: Robot, port: int) -> Screen:
-    try:
-        from prioritized_ik.viewer.page import Page
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(
-            f"{error.name} not installed; get the extra by: pip install 'prioritized-ik[view]'."
-        ) from error
+    require_extra("view")
+    from prioritized_ik.viewer.page import Page
+
     return Page(robot, port)

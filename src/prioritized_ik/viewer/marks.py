@@ -101,9 +101,7 @@ def _want(robot: Robot, here: Array, target: Array, colour: Colour, joined: bool
 
 def _axes(robot: Robot, place: Array, rotation: Array) -> list[Mark]:
     _, thin, long = _sizes(robot)
-    return [
-        Mark(place, place + long * axis, thin, colour) for axis, colour in zip(rotation.T, AXES, strict=True)
-    ]
+    return [Mark(place, place + long * axis, thin, colour) for axis, colour in zip(rotation.T, AXES, strict=True)]
 
 
 def _sizes(robot: Robot) -> tuple[float, float, float]:

@@ -12,7 +12,6 @@ from prioritized_ik.robot import Robot
 from prioritized_ik.viewer.marks import Mark
 from prioritized_ik.viewer.panel import Line
 
-
 Handle = viser.IcosphereHandle | viser.LineSegmentsHandle
 
 RED, GREEN, TEXT = "#c42e3c", "#218754", "margin:0.3em 0.8em;font-size:0.9em;line-height:1.35"

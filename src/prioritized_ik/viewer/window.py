@@ -29,12 +29,14 @@ class Window:
         with self._handle.lock():
             self._handle.user_scn.ngeom = 0
             add_marks(self._handle.user_scn, marks)
-        self._handle.set_texts((
-            mujoco.mjtFontScale.mjFONTSCALE_150,
-            mujoco.mjtGridPos.mjGRID_TOPLEFT,
-            "\n".join(f"{number} {line.name}" for number, line in enumerate(lines, 1)),
-            "\n".join(f"{line.error}{f'  gives way to {line.reason}' if line.gives_way else ''}" for line in lines),
-        ))
+        self._handle.set_texts(
+            (
+                mujoco.mjtFontScale.mjFONTSCALE_150,
+                mujoco.mjtGridPos.mjGRID_TOPLEFT,
+                "\n".join(f"{number} {line.name}" for number, line in enumerate(lines, 1)),
+                "\n".join(f"{line.error}{f'  gives way to {line.reason}' if line.gives_way else ''}" for line in lines),
+            )
+        )
         self._handle.sync()
 
     def close(self) -> None:

@@ -8,19 +8,18 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.files import advising, write_whole
 from prioritized_ik.models import WindingObject, update_kinematics
+from prioritized_ik.pictures import STILL, kind_of, write_pictures
 from prioritized_ik.rendering import use_working_backend
-from prioritized_ik.validation import Array, one_of
+from prioritized_ik.validation import Array
 from prioritized_ik.winding.episode import Episode
 from prioritized_ik.winding.settings import WindingSettings
 
 Colour = tuple[float, float, float]  # red, green, blue
 
 TOUCHING = (0.93, 0.40, 0.47, 1.0)  # links in contact [rgba]
-KINDS = (".png", ".gif")
 FRAMES = 60  # of an animation, evenly spaced over the episode
-FRAME_MILLISECONDS = 50
+RATE = 20.0  # [frames/s]
 SHOWN_LENGTH = 2.2  # half length of a cylinder or capsule in a picture, in radii
 WHITE = (1.0, 1.0, 1.0)
 SKY = (WHITE, (0.86, 0.90, 0.94))
@@ -124,26 +123,17 @@ def _drawn(
             yield renderer.render()
 
 
-def kind_of(path: str | Path) -> str:
-    """Return the kind of picture that `path` names, one of `KINDS`, or raise an `InputError`."""
-    return one_of("kind of picture", Path(path).suffix.lower(), KINDS)
-
-
 def record(episode: Episode, path: str | Path) -> None:
-    """Write the last state to a `.png`, or the whole winding to a `.gif`.
+    """Write the last state to a `.png`, or the whole winding to a `.gif`, `.webp` or `.mp4`.
 
     Raises:
         InputError: another kind of file, no way to render here, or a place that is not writable.
+        MissingExtraError: the extra `render` is not installed.
     """
-    from PIL import Image
-
-    kind = kind_of(path)
     last = len(episode.q) - 1
-    steps = [last] if kind == ".png" else [round(s) for s in np.linspace(0, last, min(FRAMES, last + 1))]
-    pictures = [Image.fromarray(frame) for frame in frames(episode, steps)]
-    rest = {"save_all": kind == ".gif", "append_images": pictures[1:], "duration": FRAME_MILLISECONDS, "loop": 0}
-    with advising("write", path):
-        write_whole(path, lambda file: pictures[0].save(file, kind[1:], **rest))
+    still = kind_of(path) == STILL
+    steps = [last] if still else [round(s) for s in np.linspace(0, last, min(FRAMES, last + 1))]
+    write_pictures(path, list(frames(episode, steps)), RATE)
 
 
 def _cut_to_view(wound: WindingObject, shown_length: float) -> WindingObject:
