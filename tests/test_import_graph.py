@@ -24,7 +24,7 @@ LAYERS = [
     {"limits", "live"},
     {"robot"},
     {"tasks", "guard", "examples"},
-    {"joint_limits", "collision"},
+    {"joint_limits", "collision", "support"},
     {"solvers"},
     {"motion"},
     {"reaching"},

@@ -55,17 +55,24 @@ def test_an_arm_drawn_out_of_reach_and_back_is_calm_and_returns():
 
 
 BALL = """
-<mujoco><worldbody><geom name="object" {shape} pos="0.5 0 0.4"/>
+<mujoco><asset><mesh name="roof" vertex="-.1 -.1 -.1 -.1 .1 -.1 .1 -.1 -.1 .1 .1 -.1 0 -.1 .1 0 .1 .1"/></asset><worldbody>
+<geom name="object" {shape} pos="0.5 0 0.4"/>
 <body name="a"><joint name="yaw" axis="0 0 1"/><joint name="pitch" axis="0 1 0"/>
 <geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.4"/>
 <body name="b" pos="0 0 0.4"><joint name="elbow" axis="0 1 0"/><geom type="capsule" size="0.03" fromto="0 0 0 0.2 0 0"/>
 <body name="c" pos="0.2 0 0">{joint}<geom name="hand" {hand}/><site name="tip"/></body></body></body></worldbody></mujoco>
 """
+LOOSE = '<joint name="wrist" type="ball"/>'
 TILTED = 'euler="35 40 10"'
 SHAPES = {
     "ball": ('type="sphere" size="0.1"', 'type="sphere" size="0.05"', '<joint name="wrist" axis="0 1 0"/>'),
     "box": ('type="box" size="0.1 0.1 0.1"', 'type="sphere" size="0.05"', '<joint name="wrist" axis="0 1 0"/>'),
     "corner on box": ('type="box" size="0.1 0.1 0.1"', f'type="box" size="0.05 0.05 0.05" {TILTED}', ""),
+    "box on box": ('type="box" size="0.1 0.1 0.1"', 'type="box" size="0.05 0.05 0.05"', LOOSE),
+    "cap on box": ('type="box" size="0.1 0.1 0.1"', 'type="cylinder" size="0.05 0.05" euler="0 90 0"', LOOSE),
+    "capsule along a box": ('type="box" size="0.1 0.1 0.1"', 'type="capsule" size="0.03 0.05"', LOOSE),
+    "box on mesh": ('type="mesh" mesh="roof"', 'type="box" size="0.05 0.05 0.05"', LOOSE),
+    "ball on mesh": ('type="mesh" mesh="roof"', 'type="sphere" size="0.05"', LOOSE),
     "slide": ('type="sphere" size="0.1"', 'type="sphere" size="0.05"', '<joint name="rail" type="slide" axis="1 0 0"/>'),
 }
 
@@ -94,8 +101,11 @@ def test_a_robot_that_starts_40_mm_deep_comes_out(name):
     apart = Collision(robot, [("hand", "object")])
     task = Position(robot, [0.5, 0.0, 0.4], site="tip")
     reach(robot, [task], max_steps=100)
-    task.target = [0.39, 0.0, 0.4]
-    reach(robot, [task], max_steps=100)
+    for further in np.linspace(0.0, 0.1, 21):
+        task.target = [0.39 + further, 0.0, 0.4]
+        reach(robot, [task], max_steps=100)
+        if apart.distances(robot)[0] < -0.039:
+            break
     assert apart.distances(robot)[0] < -0.039
     _run(robot, [task], [apart, Velocity(robot, 1.0)], 200)
     assert apart.distances(robot)[0] > -1e-4

@@ -37,9 +37,11 @@ from .limits import joint_metric as joint_metric
 from .limits import joint_range_bounds as joint_range_bounds
 from .limits import step_bounds as step_bounds
 from .guard import Limit as Limit
+from .joint_limits import Acceleration as Acceleration
 from .joint_limits import JointRange as JointRange
 from .joint_limits import Velocity as Velocity
 from .collision import Collision as Collision
+from .support import SupportPolygon as SupportPolygon
 
 # solve
 from .solvers.lexicographic import SolveOptions as SolveOptions

@@ -1,15 +1,19 @@
 """What all limits have in common."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Rows
 from prioritized_ik.robot import Robot
-from prioritized_ik.validation import positive
+from prioritized_ik.validation import Array, positive
 
-#: What may be done where a limit is broken already.
-OUTSIDE = ("raise", "hold", "return")
+#: What may be done where a limit is broken already: an error; no further; back, by soft rows above all tasks; or back by
+#: hard rows, which other limits may contradict.
+OUTSIDE = ("raise", "hold", "return", "require")
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,8 @@ class Limit(ABC):
     """A limit of a robot: bounds and rows that a step must keep, and the way back where they are broken already.
 
     Hard rows never ask for motion, so that no two limits contradict each other: a step of zero keeps them all. The way
-    back is a level of soft rows above all tasks, at a bounded speed.
+    back is a level of soft rows above all tasks, at a bounded speed. Who chooses `outside="require"` has hard rows for it,
+    and an `InfeasibleError` that names them where the way back is blocked.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -51,3 +56,42 @@ class Limit(ABC):
 
     @abstractmethod
     def _at(self, robot: Robot, dt: float) -> Guarded: ...
+
+
+@dataclass(frozen=True)
+class Way:
+    """What is done about rows that are broken.
+
+    Attributes:
+        outside: one of `OUTSIDE`; `"raise"` is up to the limit, which knows what to say.
+        gain: how much of the room one step may take.
+        speed: how fast to come back, at most [units of the rows / s].
+        rounding: rows broken by less are not brought back [units of the rows].
+    """
+
+    outside: str
+    gain: float
+    speed: float
+    rounding: float
+
+    def guarded(self, matrix: Array, room: Array, names: Sequence[str], dt: float, *, hard: bool = True) -> Guarded:
+        """Return rows of which dθ may take no more than the room, and the way back of those that have less than none.
+
+        Args:
+            matrix: of the rows `(r, nv)`.
+            room: what is left `(r,)`, below zero where a row is broken.
+            names: of the rows.
+            dt: time step [s].
+            hard: whether the rows are; soft ones join the way back, above all tasks.
+        """
+        out, kept = room < -self.rounding, self.gain * np.maximum(room, 0.0)
+        back = np.where(out, -np.minimum(-room, self.speed * dt), kept)
+        if not hard:
+            return Guarded(recovery=(Rows(matrix, kept if self.outside == "hold" else back, names),))
+        if self.outside == "require":
+            return Guarded(rows=Rows(matrix, back, names))
+        rows = Rows(matrix, kept, names)
+        if self.outside != "return" or not out.any():
+            return Guarded(rows=rows)
+        returning = [f"{names[i]} return" for i in np.flatnonzero(out).tolist()]
+        return Guarded(rows=rows, recovery=(Rows(matrix[out], back[out], returning),))

@@ -1,17 +1,18 @@
-"""Limits of a robot's joints: their range, and how fast they move."""
+"""Limits of a robot's joints: their range, how fast they move, and how fast that changes."""
 
 from collections.abc import Mapping
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.guard import OUTSIDE, Guarded, Limit
+from prioritized_ik.guard import OUTSIDE, Guarded, Limit, Way
 from prioritized_ik.limits import joint_names, joint_range_bounds
 from prioritized_ik.problem import Bounds, Rows
 from prioritized_ik.robot import Robot
 from prioritized_ik.tolerances import ROUNDING
-from prioritized_ik.validation import Array, gain_of, non_negative, one_of, positive
+from prioritized_ik.validation import Array, finite_array, gain_of, non_negative, one_of, positive
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
@@ -31,7 +32,7 @@ class JointRange(Limit):
         gain: how much of the way to the end of its range a joint may take in one step, in (0, 1].
         margin: kept free at both ends of every range [rad; m for slides].
         outside: of a joint outside its range: `"raise"` an error; `"hold"`, it may not go further; `"return"`, it also
-            comes back, before any task.
+            comes back, before any task; `"require"`, it comes back in any case.
         return_speed: how fast, at most [rad/s, m/s].
 
     Raises:
@@ -64,9 +65,9 @@ class JointRange(Limit):
         if self._outside == "raise":
             joint_range_bounds(robot.model, robot.q)
         bounds, back = self._scalars(robot, dt)
-        rows, way = self._ball_rows(robot, dt)
-        returning = tuple(part for part in (back, way) if part is not None) if self._outside == "return" else ()
-        return Guarded(bounds, rows, returning)
+        balls = self._ball_rows(robot, dt)
+        returning = (back,) if back is not None and self._outside == "return" else ()
+        return Guarded(bounds, balls.rows, returning + balls.recovery)
 
     def _scalars(self, robot: Robot, dt: float) -> tuple[Bounds, Rows | None]:
         model, names = robot.model, joint_names(robot.model)
@@ -76,17 +77,19 @@ class JointRange(Limit):
         lower[dofs], upper[dofs] = self._gain * np.minimum(down, 0.0), self._gain * np.maximum(up, 0.0)
         excess = np.maximum(down, -up)
         out = np.flatnonzero(excess > ROUNDING)
-        bounds = Bounds(lower, upper, names)
         if not out.size:
-            return bounds, None
+            return Bounds(lower, upper, names), None
+        back, low = np.minimum(excess[out], self._speed * dt), down[out] > 0.0
+        if self._outside == "require":
+            lower[dofs[out[low]]], upper[dofs[out[~low]]] = back[low], -back[~low]
         matrix = np.zeros((len(out), model.nv))
-        matrix[np.arange(len(out)), dofs[out]] = np.where(down[out] > 0.0, -1.0, 1.0)
-        return bounds, Rows(matrix, -self._back(excess[out], dt), [f"{names[dofs[i]]} return" for i in out])
+        matrix[np.arange(len(out)), dofs[out]] = np.where(low, -1.0, 1.0)
+        return Bounds(lower, upper, names), Rows(matrix, -back, [f"{names[dofs[i]]} return" for i in out])
 
-    def _ball_rows(self, robot: Robot, dt: float) -> tuple[Rows | None, Rows | None]:
+    def _ball_rows(self, robot: Robot, dt: float) -> Guarded:
         model = robot.model
         if not self._balls.size:
-            return None, None
+            return Guarded()
         matrix, room, names = np.zeros((len(self._balls), model.nv)), np.zeros(len(self._balls)), []
         for i, joint in enumerate(self._balls):
             turn = np.empty(3)
@@ -101,15 +104,7 @@ class JointRange(Limit):
                     f"ball joint {robot.names('joint')[joint]} is turned by {angle:.6g}, outside its range of "
                     f"{model.jnt_range[joint, 1]:.6g}; move it inside, or choose outside='return'."
                 )
-        rows = Rows(matrix, self._gain * np.maximum(room, 0.0), names)
-        out = room < -ROUNDING
-        if not out.any():
-            return rows, None
-        return rows, Rows(matrix[out], -self._back(-room[out], dt), [f"{names[i]} return" for i in np.flatnonzero(out)])
-
-    def _back(self, excess: Array, dt: float) -> Array:
-        """Return how far to come back in one step."""
-        return np.minimum(excess, self._speed * dt)
+        return Way(self._outside, self._gain, self._speed, ROUNDING).guarded(matrix, room, names, dt)
 
 
 class Velocity(Limit):
@@ -117,22 +112,99 @@ class Velocity(Limit):
 
     Args:
         robot: whose joints.
-        fastest: [rad/s, m/s] one for all degrees of freedom but those of free bases; or by joint, the others being free.
+        fastest: [rad/s, m/s] one for all joints but free bases; or by joint (name, pattern or number), the others being
+            free: one for the joint, or one for each of its degrees of freedom.
+        base: of free bases, along each axis of the world [m/s] and about each of the base's own [rad/s]; free unless given.
 
     Raises:
         InputError: a speed that is not positive, or a joint that does not exist.
     """
 
-    def __init__(self, robot: Robot, fastest: float | Mapping[str | int, float]) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        fastest: float | Mapping[str | int, ArrayLike],
+        *,
+        base: tuple[float, float] | None = None,
+    ) -> None:
         super().__init__(robot)
-        model = robot.model
-        self._fastest = np.full(model.nv, np.inf)
-        if isinstance(fastest, Mapping):
-            for joint, speed in fastest.items():
-                self._fastest[robot.dofs(joint)] = positive(f"fastest of {joint}", speed)
-        else:
-            based = model.jnt_type[model.dof_jntid] == int(mujoco.mjtJoint.mjJNT_FREE)
-            self._fastest[~based] = positive("fastest", fastest)
+        self._fastest = _by_dof(robot, "fastest", fastest, base)
 
     def _at(self, robot: Robot, dt: float) -> Guarded:
         return Guarded(Bounds(-self._fastest * dt, self._fastest * dt, joint_names(robot.model)))
+
+
+class Acceleration(Limit):
+    """Every joint's velocity within a·dt of the last, `Robot.velocity`, and slow enough to stop at the end of its range.
+
+    Speeding up, and starting to brake before the end of the range, are hard. To brake no harder than a is the first
+    thing asked of a step, above all tasks, but other limits come before it: a joint that meets an object stops there.
+
+    With a distance d left, the velocity v keeps v²/(2 a) <= d - v dt, so that braking by a·dt a step ends inside.
+
+    Args:
+        robot: whose joints.
+        greatest: a [rad/s², m/s²], as `fastest` of `Velocity`.
+        base: a of free bases, as in `Velocity`.
+        margin: that of `JointRange`, where one is given.
+
+    Raises:
+        InputError: an acceleration that is not positive, or a joint that does not exist.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        greatest: float | Mapping[str | int, ArrayLike],
+        *,
+        base: tuple[float, float] | None = None,
+        margin: float = 0.0,
+    ) -> None:
+        super().__init__(robot)
+        model = robot.model
+        self._greatest = _by_dof(robot, "greatest", greatest, base)
+        scalar = (model.jnt_limited != 0) & np.isin(model.jnt_type, (_HINGE, _SLIDE))
+        self._joints = np.flatnonzero(scalar & np.isfinite(self._greatest[model.jnt_dofadr]))
+        self._margin = non_negative("margin", margin)
+
+    def _at(self, robot: Robot, dt: float) -> Guarded:
+        names, change = joint_names(robot.model), self._greatest * dt * dt
+        least, most = robot.velocity * dt - change, robot.velocity * dt + change
+        lower, upper = np.minimum(least, 0.0), np.maximum(most, 0.0)
+        dofs, (down, up) = robot.model.jnt_dofadr[self._joints], self._stopping(robot, dt)
+        lower[dofs], upper[dofs] = np.maximum(lower[dofs], -down), np.minimum(upper[dofs], up)
+        forward, backward = np.flatnonzero(least > 0.0), np.flatnonzero(most < 0.0)
+        rolling = np.append(forward, backward)
+        if not rolling.size:
+            return Guarded(Bounds(lower, upper, names))
+        matrix = np.zeros((len(rolling), robot.model.nv))
+        matrix[np.arange(len(rolling)), rolling] = np.repeat([-1.0, 1.0], [len(forward), len(backward)])
+        slowest = np.minimum(np.append(least[forward], -most[backward]), np.append(upper[forward], -lower[backward]))
+        braking = Rows(matrix, -slowest, [f"{names[dof]} braking" for dof in rolling])
+        return Guarded(Bounds(lower, upper, names), recovery=(braking,))
+
+    def _stopping(self, robot: Robot, dt: float) -> Array:
+        """Return the longest steps down and up `(2, k)` after which a limited joint can still stop inside its range."""
+        model = robot.model
+        here = robot.data.qpos[model.jnt_qposadr[self._joints]]
+        low, high = model.jnt_range[self._joints].T
+        room = np.maximum([here - low - self._margin, high - self._margin - here], 0.0)
+        change = self._greatest[model.jnt_dofadr[self._joints]] * dt * dt
+        return np.sqrt(change * change + 2.0 * change * room) - change
+
+
+def _by_dof(robot: Robot, name: str, values: float | Mapping[str | int, ArrayLike], base: object) -> Array:
+    """Return a positive value a degree of freedom `(nv,)`, infinite where none is asked for."""
+    model = robot.model
+    based = model.jnt_type[model.dof_jntid] == int(mujoco.mjtJoint.mjJNT_FREE)
+    if isinstance(values, Mapping):
+        each = robot.dof_values(name, values, np.inf).copy()
+    else:
+        each = np.where(based, np.inf, positive(name, values))
+    if base is not None:
+        linear, angular = finite_array(f"base of {name}", base, (2,))  # type: ignore[arg-type]
+        each[based] = np.tile(np.repeat([linear, angular], 3), np.count_nonzero(based) // 6)
+    slow = np.flatnonzero(~(each > 0.0))
+    if slow.size:
+        raise InputError(f"{name} of {joint_names(model)[slow[0]]} is {each[slow[0]]}; expected a finite number above 0.")
+    return each

@@ -72,6 +72,11 @@ class Robot:
         """Diagonal joint metric `(nv,)` in which metres and radians are of one size, see `joint_metric`."""
         return joint_metric(self.model)
 
+    @property
+    def velocity(self) -> Array:
+        """The velocity `(nv,)` [rad/s, m/s] of the last `integrate`, a copy; zero before the first."""
+        return np.array(self.data.qvel)
+
     def update(self, q: ArrayLike | None = None) -> None:
         """Bring positions, centres of mass and tendons up to date, at `q` `(nq,)` if given.
 
@@ -86,8 +91,9 @@ class Robot:
 
     def integrate(self, velocity: ArrayLike, dt: float) -> Array:
         """Move by `velocity` `(nv,)` [rad/s, m/s] over `dt` [s], and return the new position `(nq,)`."""
-        q = self.q
-        mujoco.mj_integratePos(self.model, q, finite_array("velocity", velocity, (self.model.nv,)), non_negative("dt", dt))
+        q, moving = self.q, finite_array("velocity", velocity, (self.model.nv,))
+        mujoco.mj_integratePos(self.model, q, moving, non_negative("dt", dt))
+        self.data.qvel[:] = moving
         self.update(q)
         return q
 
@@ -188,10 +194,11 @@ class Robot:
     def jacobians(self, frame: Frame) -> tuple[Array, Array]:
         """Return the Jacobians of a frame's origin [m] and of its rotation [rad], each `(3, nv)`, in the world's axes."""
         linear, angular = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
-        mujoco.mj_jac(self.model, self.data, linear, angular, self.position(frame), self._carrier(frame))
+        mujoco.mj_jac(self.model, self.data, linear, angular, self.position(frame), self.carrier(frame))
         return linear, angular
 
-    def _carrier(self, frame: Frame) -> int:
+    def carrier(self, frame: Frame) -> int:
+        """Return the number of the body that a frame is fixed to."""
         if frame.kind == "body":
             return frame.number
         return int(getattr(self.model, f"{frame.kind}_bodyid")[frame.number])

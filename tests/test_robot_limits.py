@@ -1,0 +1,221 @@
+"""Limits of velocity, acceleration and support: kept on the way, at stops, and by robots that move as a whole."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from prioritized_ik import (
+    Acceleration,
+    CentreOfMass,
+    Collision,
+    InfeasibleError,
+    InputError,
+    JointRange,
+    Pose,
+    Position,
+    Posture,
+    Robot,
+    SupportPolygon,
+    Velocity,
+    example,
+    solve_step,
+)
+
+DT = 0.01
+GREATEST = 4.0  # [rad/s²]
+
+
+def _run(robot, levels, limits, steps):
+    """Velocities `(steps + 1, nv)` from rest on."""
+    velocities = [robot.velocity]
+    for _ in range(steps):
+        robot.integrate(solve_step(robot, levels, limits, DT).velocity, DT)
+        velocities.append(robot.velocity)
+    return np.array(velocities)
+
+
+def _arm() -> Robot:
+    return example("arm", [0.3, 0.5, 0.2, 1.2, 0.1, 0.6, 0.0])
+
+
+def test_a_joint_that_is_driven_to_its_stop_brakes_in_time_and_ends_on_it():
+    robot = _arm()
+    stop = Posture(robot, [5.0, 5.0, 0.2, -5.0, 0.1, 0.6, 5.0])
+    limits = [JointRange(robot), Velocity(robot, 3.0), Acceleration(robot, GREATEST)]
+    velocities = _run(robot, [stop], limits, 400)
+    assert np.abs(np.diff(velocities, axis=0) / DT).max() < GREATEST * (1.0 + 1e-6)
+    assert np.abs(velocities).max() > 2.9
+    low, high = robot.model.jnt_range.T
+    assert robot.q[[0, 1, 6]] == pytest.approx(high[[0, 1, 6]], abs=1e-4)
+    assert robot.q[3] == pytest.approx(low[3], abs=1e-4)
+
+
+def test_without_the_limit_the_same_joint_stops_at_once():
+    robot = _arm()
+    stop = Posture(robot, [5.0, 5.0, 0.2, -5.0, 0.1, 0.6, 5.0])
+    velocities = _run(robot, [stop], [JointRange(robot), Velocity(robot, 3.0)], 400)
+    assert np.abs(np.diff(velocities, axis=0) / DT).max() > 100.0
+
+
+def test_acceleration_by_joint_leaves_the_others_free():
+    robot = _arm()
+    names = robot.names("joint")
+    limit = Acceleration(robot, {names[0]: 1.0, names[3]: 2.0})
+    velocities = _run(robot, [Posture(robot, robot.q + 0.5)], [limit], 1)
+    assert velocities[1, [0, 3]] == pytest.approx([0.01, 0.02])
+    assert velocities[1, [1, 2, 4, 5, 6]] == pytest.approx(np.full(5, 50.0))
+
+
+def test_a_moving_arm_that_meets_an_object_stops_there_whatever_its_acceleration():
+    robot = example("arm", [0.3, 0.5, 0.2, 1.2, 0.1, 0.6, 0.0])
+    table = Collision(robot, [("hand", "table")])
+    down = Position(robot, robot.position(robot.frame(site="tool")) - [0.0, 0.0, 0.6], site="tool")
+    limits = [table, Velocity(robot, 2.0), Acceleration(robot, 0.5)]
+    velocities = _run(robot, [down], limits, 300)
+    assert table.distances(robot)[0] > -2e-4
+    assert np.abs(np.diff(velocities, axis=0) / DT).max() > 0.5  # the object came first
+
+
+def test_a_floating_base_keeps_its_speeds_and_accelerations():
+    robot = example("humanoid")
+    moved = np.eye(4)
+    moved[:3, 3] = [2.0, 1.0, 0.5]
+    pelvis = Pose(robot, moved, body="pelvis")
+    pelvis.target = moved @ np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+    limits = [Velocity(robot, 2.0, base=(0.5, 0.8)), Acceleration(robot, 5.0, base=(2.0, 3.0))]
+    velocities = _run(robot, [pelvis], limits, 80)
+    assert np.abs(velocities[:, :3]).max() == pytest.approx(0.5)
+    assert np.abs(velocities[:, 3:6]).max() == pytest.approx(0.8)
+    changes = np.abs(np.diff(velocities, axis=0) / DT)
+    assert changes[:, :3].max() == pytest.approx(2.0)
+    assert changes[:, 3:6].max() == pytest.approx(3.0)
+
+
+SOLES = ("left foot", "right foot")
+
+
+def _feet(robot):
+    """The box geoms of the feet."""
+    boxes = [g for g in range(robot.model.ngeom) if robot.model.geom_bodyid[g] in robot.bodies("* ankle")]
+    return [robot.frame(geom=number) for number in boxes]
+
+
+def test_the_rows_of_the_support_polygon_are_the_gradient_of_the_distance():
+    robot = example("humanoid")
+    robot.integrate(np.random.default_rng(3).normal(size=robot.model.nv) * 0.1, 1.0)
+    limit = SupportPolygon(robot, _feet(robot))
+    start, rows = robot.q, limit.at(robot, DT).rows
+    ends = []
+    for sign in (1.0, -1.0):
+        changed = []
+        for direction in np.eye(robot.model.nv):
+            robot.update(start)
+            robot.integrate(sign * direction, 1e-6)
+            changed.append(limit.at(robot, DT).rows.upper)
+        ends.append(np.array(changed).T)
+    assert len(rows.names) == 6  # the corners between the feet are inside
+    assert -(ends[0] - ends[1]) / 2e-6 == pytest.approx(rows.matrix, abs=1e-7)
+
+
+@pytest.mark.parametrize("hard", [True, False])
+def test_the_centre_of_mass_stays_above_the_feet_however_far_the_hands_are_drawn(hard):
+    robot = example("humanoid")
+    limit = SupportPolygon(robot, _feet(robot), margin=0.01, hard=hard)
+    feet = [Pose(robot, site=name) for name in SOLES]
+    hands = [Position(robot, site=f"{side} hand", gain=0.1) for side in ("left", "right")]
+    for hand in hands:
+        hand.target = hand.target + np.array([0.8, 0.0, 0.0])
+    nearest = []
+    for _ in range(200):
+        robot.integrate(solve_step(robot, [feet, hands], [limit, JointRange(robot), Velocity(robot, 2.0)], DT).velocity, DT)
+        nearest.append(limit.distance(robot))
+    assert min(nearest) > 0.01 - 1e-4
+    assert nearest[-1] == pytest.approx(0.01, abs=1e-4)
+
+
+def test_without_the_limit_it_leaves_them():
+    robot = example("humanoid")
+    limit = SupportPolygon(robot, _feet(robot))
+    feet = [Pose(robot, site=name) for name in SOLES]
+    hands = [Position(robot, site=f"{side} hand", gain=0.1) for side in ("left", "right")]
+    for hand in hands:
+        hand.target = hand.target + np.array([0.8, 0.0, 0.0])
+    _run(robot, [feet, hands], [JointRange(robot), Velocity(robot, 2.0)], 200)
+    assert limit.distance(robot) < -0.01
+
+
+def _leaning() -> tuple[Robot, SupportPolygon]:
+    robot = example("humanoid")
+    ahead = CentreOfMass(robot)
+    ahead.target = ahead.target + np.array([0.12, 0.0, 0.0])
+    feet = [Pose(robot, site=name) for name in SOLES]
+    _run(robot, [feet, ahead], [JointRange(robot), Velocity(robot, 2.0)], 100)
+    return robot, SupportPolygon(robot, _feet(robot))
+
+
+def test_a_centre_of_mass_outside_comes_back_at_a_bounded_speed():
+    robot, limit = _leaning()
+    outside = limit.distance(robot)
+    assert outside < -0.01
+    feet = [Pose(robot, site=name) for name in SOLES]
+    _run(robot, [feet, Posture(robot)], [limit], 1)
+    assert limit.distance(robot) == pytest.approx(outside + 0.5 * DT, abs=2e-4)
+    _run(robot, [feet, Posture(robot)], [limit], 30)
+    assert limit.distance(robot) > -1e-4
+
+
+def test_outside_raise_tells_by_how_much():
+    robot, limit = _leaning()
+    with pytest.raises(
+        InputError, match=rf"the centre of mass is {limit.distance(robot):.6g} m inside the support polygon"
+    ):
+        solve_step(robot, [Posture(robot)], [SupportPolygon(robot, _feet(robot), outside="raise")])
+
+
+RAIL = """
+<mujoco><compiler angle="radian"/><worldbody><geom name="wall" type="box" size="0.1 1 1" pos="1 0 0"/>
+<body name="cart"><joint name="rail" type="slide" axis="1 0 0" limited="true" range="-1 {high}"/>
+<geom name="bumper" size="0.1"/></body></worldbody></mujoco>
+"""
+
+
+def _on_rail(high: float, place: float) -> Robot:
+    return Robot(mujoco.MjModel.from_xml_string(RAIL.format(high=high)), [place])
+
+
+def test_a_way_back_that_is_required_is_hard_and_bounded():
+    robot = _on_rail(0.5, 0.6)
+    rows = JointRange(robot, outside="require", return_speed=0.3)
+    assert rows.at(robot, DT).bounds.upper == pytest.approx([-0.003])
+    assert not rows.at(robot, DT).recovery
+    away = Posture(robot, [2.0])
+    _run(robot, [away], [rows], 60)
+    assert robot.q == pytest.approx([0.5])
+
+
+def test_required_ways_back_that_exclude_each_other_are_named_and_soft_ones_compromise():
+    robot = _on_rail(2.0, 0.85)  # 5 cm deep in the wall, and beyond a range that ends on its other side
+    robot.model.jnt_range[0] = [0.9, 2.0]
+    hard = [Collision(robot, [("bumper", "wall")], outside="require"), JointRange(robot, outside="require")]
+    with pytest.raises(InfeasibleError, match=r"rail.*bumper near wall|bumper near wall.*rail"):
+        solve_step(robot, [Posture(robot)], hard)
+    soft = [Collision(robot, [("bumper", "wall")]), JointRange(robot)]
+    assert np.abs(solve_step(robot, [Posture(robot)], soft).velocity).max() < 1e-6
+
+
+BAD = {
+    "acceleration": (lambda robot: Acceleration(robot, -1.0), "greatest is -1.0"),
+    "acceleration of a joint": (lambda robot: Acceleration(robot, {"elbow": 0.0}), "greatest of elbow is 0.0"),
+    "unknown joint": (lambda robot: Acceleration(robot, {"knee*": 1.0}), r"there is no joint 'knee\*'"),
+    "too many speeds": (lambda robot: Velocity(robot, {"elbow": [1.0, 2.0]}), r"elbow has shape \(2,\); expected \(1,\)"),
+    "base": (lambda robot: Velocity(robot, 1.0, base=3.0), r"base of fastest has shape \(\); expected \(2,\)"),
+    "points": (lambda robot: SupportPolygon(robot, ["tool"]), r"points is \['tool'\]; expected frames such as"),
+    "two points": (lambda robot: SupportPolygon(robot, [robot.frame(site="tool"), robot.frame(body=1)]), "three that are"),
+    "capsule": (lambda robot: SupportPolygon(robot, [robot.frame(geom=2)]), "neither box nor sphere"),
+}
+
+
+@pytest.mark.parametrize(("ask", "message"), BAD.values(), ids=BAD.keys())
+def test_bad_input_is_one_clear_message(ask, message):
+    with pytest.raises(InputError, match=message):
+        ask(_arm())
