@@ -28,6 +28,7 @@ LAYERS = [
     {"solvers"},
     {"motion"},
     {"reaching"},
+    {"scene"},
     {"winding", "mink", "viewer"},
     {"cli", "comparisons", "paper_repro"},
 ]

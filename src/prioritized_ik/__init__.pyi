@@ -67,6 +67,14 @@ from .reaching import Ending as Ending
 from .reaching import Reached as Reached
 from .reaching import reach as reach
 
+# scenes
+from .scene.entries import LimitEntry as LimitEntry
+from .scene.entries import TaskEntry as TaskEntry
+from .scene.scene import Scene as Scene
+from .scene.scene import SceneRun as SceneRun
+from .scene.scene import SceneStep as SceneStep
+from .scene.task_file import load_scene as load_scene
+
 # winding
 from .winding.settings import WindingSettings as WindingSettings
 from .winding.episode import Episode as Episode

@@ -50,9 +50,54 @@ class CommandGroup(click.Group):
 def main() -> None:
     """Prioritized inverse kinematics on MuJoCo: exact, constrained, with whichever QP solver you like.
 
-    Exit codes: 0 done; 1 done, but the arm is not wound (wind) or a solver does not agree (compare --strict); 2 bad
-    usage or input.
+    Exit codes: 0 done; 1 done, but the arm is not wound (wind), the required tasks are not met (solve) or a solver does not
+    agree (compare --strict); 2 bad usage or input.
     """
+
+
+@main.command()
+@click.argument("task_file", metavar="TASKFILE", type=click.Path(path_type=Path))
+@click.option("--scene", type=click.Path(path_type=Path), help="Model (.xml, .urdf) in place of TASKFILE's.")
+@click.option("--solver", help="A method, or a QP solver for lexicographic:SOLVER.  [default: TASKFILE's, or active-set]")
+@click.option(
+    "--json", "json_file", type=click.Path(dir_okay=False), help="File for the outcome and all positions, as JSON."
+)
+def solve(task_file: Path, scene: Path | None, solver: str | None, json_file: str | None) -> None:
+    """Move a robot as a task file says, and print what was reached and which level gave way.
+
+    Exit codes: 0 the required levels are met at the end; 1 they are not; 2 bad usage or input.
+    """
+    import json
+
+    from rich.console import Console
+    from rich.progress import track
+    from threadpoolctl import threadpool_limits
+
+    from prioritized_ik.files import advising, write_whole
+    from prioritized_ik.reaching import Ending
+    from prioritized_ik.scene.task_file import load_scene
+
+    if json_file is not None:
+        writable_file(json_file)
+    loaded = load_scene(task_file, scene)
+    bar = Console(stderr=True)
+    with threadpool_limits(1):  # matrices this small only lose by more
+        steps = track(
+            loaded.steps(solver),
+            task_file.name,
+            loaded.step_count,
+            console=bar,
+            transient=True,
+            disable=not bar.is_terminal,
+        )
+        run = loaded.ended(list(steps))
+        click.echo(run.told())
+    if json_file is not None:
+        content = json.dumps(run.to_json(), indent=1, ensure_ascii=False) + "\n"
+        with advising("write", json_file):
+            write_whole(json_file, lambda file: file.write(content.encode("utf-8")))
+    if run.ending is not Ending.REACHED:
+        raise SystemExit(DISAGREES)
 
 
 @main.command()
