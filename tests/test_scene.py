@@ -72,8 +72,8 @@ def same(one: IKProblem, other: IKProblem) -> bool:
 BY_HAND: dict[str, tuple[dict[str, Any], Any]] = {
     "position": ({"site": "tool", "target": [0.5, 0.1, 0.4]}, lambda r: pik.Position(r, [0.5, 0.1, 0.4], site="tool")),
     "orientation": (
-        {"body": "wrist", "target": [1.0, 0.0, 0.2, 0.0], "gain": 0.5},
-        lambda r: pik.Orientation(r, [1.0, 0.0, 0.2, 0.0], body="wrist", gain=0.5),
+        {"body": "wrist", "target": [1.0, 0.0, 0.2, 0.0], "gain": 0.5, "root": {"body": "shoulder"}},
+        lambda r: pik.Orientation(r, [1.0, 0.0, 0.2, 0.0], body="wrist", gain=0.5, root=r.frame(body="shoulder")),
     ),
     "pose": (
         {"geom": "hand", "target": np.eye(4).tolist(), "weights": [1, 1, 1, 0.1, 0.1, 0]},
@@ -86,6 +86,11 @@ BY_HAND: dict[str, tuple[dict[str, Any], Any]] = {
     "look-at": ({"site": "tool", "target": [1, 1, 0]}, lambda r: pik.LookAt(r, [1, 1, 0], site="tool")),
     "centre-of-mass": ({"weights": [1, 1, 0]}, lambda r: pik.CentreOfMass(r, weights=[1, 1, 0])),
     "posture": ({"target": [0.0] * 7, "gain": 0.1}, lambda r: pik.Posture(r, np.zeros(7), gain=0.1)),
+    "damping": ({"weights": {"elbow": 2.0}}, lambda r: pik.Damping(r, {"elbow": 2.0})),
+    "virtual-arms": (
+        {"arms": {"points": ["tool"], "axes": "xz"}, "target": [[0.5, 0.4]]},
+        lambda r: pik.VirtualArmsTask(r, pik.VirtualArms(r.model, ["tool"], "xz"), [[0.5, 0.4]]),
+    ),
     "joint-coupling": (
         {"coefficients": {"elbow": 1.0, "wrist": -2.0}, "target": 0.1},
         lambda r: pik.JointCoupling(r, {"elbow": 1.0, "wrist": -2.0}, 0.1),
@@ -105,6 +110,11 @@ def test_every_task_and_limit_of_the_package_has_a_kind() -> None:
     public = [getattr(pik, name) for name in pik.__all__ if isinstance(getattr(pik, name), type)]
     assert {kind for kind in public if issubclass(kind, Task) and kind is not Task} <= set(TASKS.values())
     assert {kind for kind in public if issubclass(kind, Limit) and kind is not Limit} <= set(LIMITS.values())
+
+
+def test_every_kind_is_in_the_documentation() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "own-robots.md").read_text(encoding="utf-8")
+    assert [kind for kind in (*TASKS, *LIMITS) if f"`{kind}`" not in page] == []
 
 
 @settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -128,7 +138,7 @@ def test_a_task_file_poses_the_problem_that_its_classes_pose_by_hand(
     assert same(step.problem, by_hand)
 
 
-@pytest.mark.parametrize("kind", sorted(BY_HAND))
+@pytest.mark.parametrize("kind", sorted(BY_HAND.keys() - {"damping"}))
 def test_the_comparison_with_problems_by_hand_sees_a_gain_that_is_off_by_a_thousandth(tmp_path: Path, kind: str) -> None:
     arguments, made = BY_HAND[kind]
     scene = loaded(tmp_path, task=[{"kind": kind, **arguments, "gain": 0.999 * arguments.get("gain", 1.0)}], duration=0.01)
@@ -289,6 +299,11 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "task is no table": ({"task": [3]}, r"task is \[3\]; expected tables"),
     "no duration": ({"duration": None}, "there is no duration"),
     "no frame": ({"task": [{"kind": "position"}]}, "task 1, position: 0 frames were given"),
+    "root that is no table": ({"task": [{**HAND, "root": "base"}]}, "root: expected a table with some of: body, site"),
+    "root of another key": ({"task": [{**HAND, "root": {"bdy": 1}}]}, "root: unknown key 'bdy'; expected some of: body"),
+    "root that does not exist": ({"task": [{**HAND, "root": {"body": "bas"}}]}, "root: there is no body 'bas'"),
+    "arms of no point": ({"task": [{"kind": "virtual-arms", "arms": {"points": []}}]}, r"arms: points is \[\]"),
+    "arms without points": ({"task": [{"kind": "virtual-arms", "arms": {}}]}, "arms: there is no points"),
     "frame that does not exist": (
         {"task": [HAND, {**HAND, "site": "tol"}]},
         "task 2, position: there is no site 'tol'; the model has 1 site: tool; 7 joints: .*; 8 bodies: .*; 9 geoms: ",

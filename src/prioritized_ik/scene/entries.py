@@ -1,7 +1,8 @@
 """Tasks and limits as a task file has them: a kind, and the arguments of its class."""
 
 import inspect
-from collections.abc import Iterator, Mapping, Sequence
+import typing
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -12,9 +13,11 @@ from prioritized_ik.collision import Collision
 from prioritized_ik.errors import InputError, SolverUnavailableError
 from prioritized_ik.guard import Limit
 from prioritized_ik.joint_limits import JointRange, Velocity
-from prioritized_ik.robot import Robot
+from prioritized_ik.robot import Frame, Robot
+from prioritized_ik.tasks.arms import VirtualArmsTask
 from prioritized_ik.tasks.axis import Axis, LookAt
 from prioritized_ik.tasks.centre_of_mass import CentreOfMass
+from prioritized_ik.tasks.damping import Damping
 from prioritized_ik.tasks.joint_coupling import JointCoupling
 from prioritized_ik.tasks.orientation import Orientation
 from prioritized_ik.tasks.pose import Pose
@@ -22,6 +25,7 @@ from prioritized_ik.tasks.position import Position
 from prioritized_ik.tasks.posture import Posture
 from prioritized_ik.tasks.task import Task
 from prioritized_ik.validation import at_least, nearest_first, non_negative
+from prioritized_ik.virtual_arms import VirtualArms
 
 #: Kinds of tasks by what a file calls them. Their keys are the arguments of the class.
 TASKS: dict[str, type[Task]] = {
@@ -33,6 +37,8 @@ TASKS: dict[str, type[Task]] = {
     "centre-of-mass": CentreOfMass,
     "posture": Posture,
     "joint-coupling": JointCoupling,
+    "damping": Damping,
+    "virtual-arms": VirtualArmsTask,
 }
 
 #: Kinds of limits, likewise.
@@ -41,6 +47,20 @@ LIMITS: dict[str, type[Limit]] = {
     "velocity": Velocity,
     "collision": Collision,
 }
+
+
+def _frame(
+    robot: Robot, *, body: str | int | None = None, site: str | int | None = None, geom: str | int | None = None
+) -> Frame:
+    return robot.frame(body=body, site=site, geom=geom)
+
+
+def _virtual_arms(robot: Robot, *, points: Sequence[str], axes: str = "xyz") -> VirtualArms:
+    return VirtualArms(robot.model, points, axes)
+
+
+#: Arguments of these types are tables in a file, whose keys are the arguments of what makes them of a robot.
+OBJECTS: dict[type, Callable[..., object]] = {Frame: _frame, VirtualArms: _virtual_arms}
 
 TARGET, WAY_POINTS = "target", ("times", "targets")
 
@@ -119,7 +139,7 @@ class TaskEntry:
             InputError: an argument that the task refuses.
         """
         first = {TARGET: self.targets[0]} if self.times else {}
-        task: Any = TASKS[self.kind](robot, **self.arguments, **first)
+        task: Any = TASKS[self.kind](robot, **_made(TASKS[self.kind], robot, self.arguments), **first)
         targets = []
         for number, target in enumerate(self.targets):
             with placed(f"targets[{number}]"):
@@ -148,7 +168,7 @@ class LimitEntry:
     def __post_init__(self) -> None:
         allowed = arguments_of(LIMITS[known_kind(self.kind, LIMITS)])
         check_keys(self.arguments, [*allowed], ["kind", *allowed])
-        check_complete(set(self.arguments), LIMITS[self.kind])
+        check_complete(self.arguments, LIMITS[self.kind])
         object.__setattr__(self, "arguments", MappingProxyType(dict(self.arguments)))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -161,11 +181,32 @@ class LimitEntry:
         Raises:
             InputError: an argument that the limit refuses.
         """
-        return LIMITS[self.kind](robot, **self.arguments)
+        return LIMITS[self.kind](robot, **_made(LIMITS[self.kind], robot, self.arguments))
 
 
-def arguments_of(kind: type[Task | Limit]) -> dict[str, bool]:
-    """Return the arguments of a class by name, `robot` aside, and whether each must be given."""
+def _made(kind: type[Task | Limit], robot: Robot, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a class, tables made the `OBJECTS` that it takes."""
+    parameters, made = inspect.signature(kind).parameters, dict(arguments)
+    for name, value in arguments.items():
+        annotation = parameters[name].annotation
+        for taken in typing.get_args(annotation) or (annotation,):
+            if taken in OBJECTS:
+                with placed(name):
+                    made[name] = _object(OBJECTS[taken], robot, value)
+    return made
+
+
+def _object(make: Callable[..., object], robot: Robot, table: object) -> object:
+    allowed = [*arguments_of(make)]
+    if not isinstance(table, Mapping):
+        raise InputError(f"expected a table with some of: {', '.join(allowed)}; it is {table!r}.")
+    check_keys(table, allowed)
+    check_complete(table, make)
+    return make(robot, **table)
+
+
+def arguments_of(kind: Callable[..., object]) -> dict[str, bool]:
+    """Return the arguments of a class or function by name, the first, `robot`, aside, and whether each must be given."""
     parameters = list(inspect.signature(kind).parameters.values())[1:]
     return {parameter.name: parameter.default is parameter.empty for parameter in parameters}
 
@@ -193,8 +234,8 @@ def check_keys(keys: Mapping[str, object], allowed: Sequence[str], listed: Seque
             raise InputError(f"unknown key {key!r}; expected some of: {', '.join(nearest_first(key, listed or allowed))}.")
 
 
-def check_complete(given: set[str], kind: type[Task | Limit]) -> None:
-    """Return if all arguments are `given` that a class must have.
+def check_complete(given: Collection[str], kind: Callable[..., object]) -> None:
+    """Return if all arguments are `given` that a class or function must have.
 
     Raises:
         InputError: one is missing.
