@@ -96,9 +96,16 @@ BY_HAND: dict[str, tuple[dict[str, Any], Any]] = {
         lambda r: pik.JointCoupling(r, {"elbow": 1.0, "wrist": -2.0}, 0.1),
     ),
 }
+#: Frames that make a triangle, seen from above, if no robot would stand on them.
+FEET = [{"body": "wrist"}, {"body": "shoulder"}, {"site": "tool"}]
 LIMITS_BY_HAND: dict[str, tuple[dict[str, Any], Any]] = {
     "joint-range": ({"margin": 0.05, "outside": "hold"}, lambda r: pik.JointRange(r, margin=0.05, outside="hold")),
     "velocity": ({"fastest": {"elbow": 1.0}}, lambda r: pik.Velocity(r, {"elbow": 1.0})),
+    "acceleration": ({"greatest": 30.0}, lambda r: pik.Acceleration(r, 30.0)),
+    "support-polygon": (
+        {"points": FEET, "outside": "hold"},
+        lambda r: pik.SupportPolygon(r, [r.frame(**foot) for foot in FEET], outside="hold"),
+    ),
     "collision": (
         {"pairs": [["hand", "post"], ["hand", "table"]], "margin": 1.0},
         lambda r: pik.Collision(r, [("hand", "post"), ("hand", "table")], margin=1.0),
@@ -304,6 +311,11 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "root that does not exist": ({"task": [{**HAND, "root": {"body": "bas"}}]}, "root: there is no body 'bas'"),
     "arms of no point": ({"task": [{"kind": "virtual-arms", "arms": {"points": []}}]}, r"arms: points is \[\]"),
     "arms without points": ({"task": [{"kind": "virtual-arms", "arms": {}}]}, "arms: there is no points"),
+    "feet that are no list": ({"limit": [{"kind": "support-polygon", "points": 3}]}, "points: expected a list of tables"),
+    "a foot that does not exist": (
+        {"limit": [{"kind": "support-polygon", "points": [{"body": "foot"}]}]},
+        "limit 1, support-polygon: points: there is no body 'foot'",
+    ),
     "frame that does not exist": (
         {"task": [HAND, {**HAND, "site": "tol"}]},
         "task 2, position: there is no site 'tol'; the model has 1 site: tool; 7 joints: .*; 8 bodies: .*; 9 geoms: ",

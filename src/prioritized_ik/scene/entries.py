@@ -6,14 +6,15 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
-from types import MappingProxyType
+from types import MappingProxyType, UnionType
 from typing import Any
 
 from prioritized_ik.collision import Collision
 from prioritized_ik.errors import InputError, SolverUnavailableError
 from prioritized_ik.guard import Limit
-from prioritized_ik.joint_limits import JointRange, Velocity
+from prioritized_ik.joint_limits import Acceleration, JointRange, Velocity
 from prioritized_ik.robot import Frame, Robot
+from prioritized_ik.support import SupportPolygon
 from prioritized_ik.tasks.arms import VirtualArmsTask
 from prioritized_ik.tasks.axis import Axis, LookAt
 from prioritized_ik.tasks.centre_of_mass import CentreOfMass
@@ -45,7 +46,9 @@ TASKS: dict[str, type[Task]] = {
 LIMITS: dict[str, type[Limit]] = {
     "joint-range": JointRange,
     "velocity": Velocity,
+    "acceleration": Acceleration,
     "collision": Collision,
+    "support-polygon": SupportPolygon,
 }
 
 
@@ -188,12 +191,26 @@ def _made(kind: type[Task | Limit], robot: Robot, arguments: Mapping[str, Any]) 
     """Return the arguments of a class, tables made the `OBJECTS` that it takes."""
     parameters, made = inspect.signature(kind).parameters, dict(arguments)
     for name, value in arguments.items():
-        annotation = parameters[name].annotation
-        for taken in typing.get_args(annotation) or (annotation,):
-            if taken in OBJECTS:
-                with placed(name):
-                    made[name] = _object(OBJECTS[taken], robot, value)
+        for make, several in _makers(parameters[name].annotation):
+            with placed(name):
+                made[name] = _objects(make, robot, value) if several else _object(make, robot, value)
     return made
+
+
+def _makers(annotation: object) -> Iterator[tuple[Callable[..., object], bool]]:
+    """Yield what makes the `OBJECTS` of an annotation, and whether it takes a sequence of them."""
+    options = typing.get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
+    for option in options:
+        several = typing.get_origin(option) is Sequence
+        (kind,) = typing.get_args(option)[:1] if several else (option,)
+        if kind in OBJECTS:
+            yield OBJECTS[kind], several
+
+
+def _objects(make: Callable[..., object], robot: Robot, tables: object) -> list[object]:
+    if not isinstance(tables, Sequence) or isinstance(tables, str):
+        raise InputError(f"expected a list of tables with some of: {', '.join(arguments_of(make))}; it is {tables!r}.")
+    return [_object(make, robot, table) for table in tables]
 
 
 def _object(make: Callable[..., object], robot: Robot, table: object) -> object:

@@ -150,7 +150,7 @@ class Scene:
             problem = build_problem(robot, staged.levels, staged.limits, self.dt, damping=self.damping)
             step = step_of(method, problem, options, Place(robot.q, self))
             if step.dtheta is not None:
-                robot.integrate(step.dtheta, 1.0)
+                robot.integrate(step.dtheta / self.dt, self.dt)
             yield SceneStep(number * self.dt, read_only(robot.q), problem, step, errors_of(robot, tasks))
             if step.dtheta is None:
                 return
