@@ -5,7 +5,7 @@ READY := .venv/.ready
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: setup system compare paper test lint types unit package readme lock clean
+.PHONY: setup system compare paper test lint types unit package docs gallery readme lock clean
 
 setup: system $(READY)
 
@@ -47,6 +47,15 @@ unit: setup
 # The wheel and the source archive: what they hold and say, and that they install and start on their own.
 package: setup
 	$(BIN)/python tools/check_package.py
+
+# The documentation, in results/docs/; a warning is an error.
+docs: setup
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs results/docs
+	@echo "results/docs/index.html"
+
+# The pictures of the gallery, each by its example.
+gallery: setup
+	cd docs/gallery && for script in ../../examples/*.py; do ../../$(BIN)/python $$script || exit 1; done
 
 # What the README and the pages beside it show: their tables and the picture.
 readme: setup

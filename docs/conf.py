@@ -1,11 +1,23 @@
 """The documentation: `make docs` builds it, warnings are errors, and nothing is fetched, neither then nor by its reader."""
 
 import importlib.metadata
+import re
+from pathlib import Path
 from typing import Any
 
-from docutils.nodes import Element, SkipNode
+import prioritized_ik
+from docutils.nodes import Element, Node, SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+#: Public names by stage, as the stub file of the package groups them.
+STAGES = {
+    title: re.findall(r" as (\w+)", block)
+    for title, block in re.findall(
+        r"^# (.+)\n((?:from .+\n)+)", Path(prioritized_ik.__file__).with_suffix(".pyi").read_text("utf-8"), re.MULTILINE
+    )
+}
 
 project = "prioritized_ik"
 version = release = importlib.metadata.version("prioritized-ik")
@@ -19,6 +31,7 @@ exclude_patterns = ["_build"]
 default_role = "literal"  # docstrings write code in single backticks
 napoleon_numpy_docstring = False
 napoleon_attr_annotations = False
+autodoc_default_options = {"members": True}
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
@@ -44,6 +57,26 @@ def _display(writer: Any, node: Element) -> None:
     raise SkipNode
 
 
+class PublicNames(SphinxDirective):
+    """`.. public-names:: STAGE`: the documentation of all that a stage of the package's stub file exports."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[Node]:
+        """Return it, every name by its autodoc directive."""
+        names = STAGES[self.arguments[0]]
+        return self.parse_text_to_nodes("\n\n".join(f".. auto{_kind(name)}:: prioritized_ik.{name}" for name in names))
+
+
+def _kind(name: str) -> str:
+    found = getattr(prioritized_ik, name)
+    if not isinstance(found, type):
+        return "function"
+    return "exception" if issubclass(found, Exception) else "class"
+
+
 def setup(app: Sphinx) -> None:
     """Write equations as MathML, which browsers draw by themselves."""
+    app.add_directive("public-names", PublicNames)
     app.add_html_math_renderer("mathml", (_inline, None), (_display, None))

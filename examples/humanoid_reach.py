@@ -1,7 +1,5 @@
 """A humanoid reaches out of its reach, and keeps its feet and its balance: feet > balance > hands > posture."""
 
-import sys
-
 import numpy as np
 
 import prioritized_ik as pik
@@ -27,7 +25,7 @@ start = [hand.target for hand in hands]
 away = np.array([[0.35, 0.05, -0.3], [0.1, -0.1, 0.35]])  # [m] further than the left hand can go
 
 with Film(
-    sys.argv[1] if len(sys.argv) > 1 else "humanoid_reach.gif",
+    "humanoid_reach.webp",
     robot,
     levels,
     limits,
@@ -40,3 +38,6 @@ with Film(
         motion = pik.solve_step(robot, levels, limits, DT)
         robot.integrate(motion.velocity, DT)
         film.add(motion)
+
+foot = robot.position(robot.frame(site="left foot")) - feet[0].target[:3, 3]
+print(f"the left foot is {1e3 * np.linalg.norm(foot):.2f} mm from where it was")

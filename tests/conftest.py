@@ -1,6 +1,9 @@
 import os
+import shutil
+import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -12,6 +15,9 @@ from prioritized_ik import rendering
 from prioritized_ik.errors import InputError
 from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.virtual_arms import VirtualArms
+
+if TYPE_CHECKING:
+    import playwright.sync_api
 
 CAMPAIGN = 200  # problems that a campaign solves unless told: a few seconds
 KILLS = 2  # times that a comparison is killed unless told: a few seconds each
@@ -55,6 +61,26 @@ def renders() -> None:
         rendering.use_working_backend()
     except InputError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator["playwright.sync_api.Browser"]:
+    """A headless Chromium; tests that need it are skipped where there is none."""
+    import playwright.sync_api
+    from playwright._impl._driver import compute_driver_executable
+
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if chromium is None:
+        pytest.skip("no Chromium here (Debian: apt-get install chromium)")
+    driver, script = compute_driver_executable()
+    started = subprocess.run([driver, script, "--version"], capture_output=True, text=True, check=False)
+    if started.returncode:
+        pytest.skip(f"the driver of Chromium does not start here ({started.stderr.strip()})")
+    with playwright.sync_api.sync_playwright() as running:
+        # The sandbox of Chromium does not start for root, as in a container.
+        browser = running.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        yield browser
+        browser.close()
 
 
 @dataclass

@@ -287,3 +287,12 @@ def test_a_step_without_a_certificate_is_not_explained():
     step = replace(solve(CONFLICT), certificate=None)
     with pytest.raises(InputError, match="the step is SOLVED; expected one that was found and has a certificate"):
         explain(CONFLICT, step)
+
+
+def test_a_level_that_asks_for_what_is_there_does_not_give_way_to_rounding():
+    rng = np.random.default_rng(3)
+    for _ in range(30):
+        still = Level(rng.normal(size=(3, 6)), np.zeros(3), name="still")
+        moved = Level(rng.normal(size=(2, 6)), rng.normal(size=2), name="moved")
+        problem = IKProblem([still, moved])
+        assert not explain(problem, solve(problem))[0].gave_way

@@ -3,8 +3,6 @@
 import base64
 import io
 import re
-import shutil
-import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,14 +11,11 @@ import playwright.sync_api as playwright
 import pytest
 from page_fixtures import CASE, FAST, MESSAGE, SLOW, WRONG, SmallStore
 from PIL import Image
-from playwright._impl._driver import compute_driver_executable
 from winding_fixtures import recorded
 
 from comparisons.page import write_page
 from comparisons.problem_file import load_problem
 from comparisons.summary import summarise
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
 EPISODE = recorded(link=13)  # what FAST drove, the first of the choice
 
@@ -31,21 +26,6 @@ WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     store = SmallStore(tmp_path_factory.mktemp("comparison"))
     return write_page(store.folder, store, summarise(store.steps(), store.episodes()))
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator["playwright.Browser"]:
-    if CHROMIUM is None:
-        pytest.skip("no Chromium here (Debian: apt-get install chromium)")
-    driver, script = compute_driver_executable()
-    started = subprocess.run([driver, script, "--version"], capture_output=True, text=True, check=False)
-    if started.returncode:
-        pytest.skip(f"the driver of Chromium does not start here ({started.stderr.strip()})")
-    with playwright.sync_playwright() as running:
-        # The sandbox of Chromium does not start for root, as in a container.
-        browser = running.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture(params=WIDTHS.values(), ids=WIDTHS.keys())

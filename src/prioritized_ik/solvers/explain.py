@@ -9,7 +9,8 @@ from prioritized_ik.problem import Bounds, IKProblem, Level, Rows, replaced
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import JointStep
-from prioritized_ik.tolerances import CERTIFIED
+from prioritized_ik.tolerances import CERTIFIED, ROUNDING
+from prioritized_ik.validation import Array
 
 
 @dataclass(frozen=True)
@@ -93,11 +94,17 @@ def explain(problem: IKProblem, step: JointStep, options: SolveOptions | None = 
             _error(problem, problem.levels[: i + 1], options),
             float(np.sqrt(level.cost(step.dtheta))),
             step.certificate.held_by[i],
-            CERTIFIED * level.demand,
+            _tolerance(level, step.dtheta),
             undone.get(level.name, 0.0),
         )
         for i, level in enumerate(problem.levels)
     )
+
+
+def _tolerance(level: Level, dtheta: Array) -> float:
+    """Return what two errors of a level may differ by and be equal, rounding of what is summed up in them included."""
+    terms = float(np.sqrt(level.weights @ (np.abs(level.matrix) @ np.abs(dtheta)) ** 2))
+    return max(CERTIFIED * level.demand, ROUNDING * terms)
 
 
 def _error(problem: IKProblem, levels: tuple[Level, ...], options: SolveOptions) -> float:

@@ -14,6 +14,7 @@ from prioritized_ik.validation import Array
 from prioritized_ik.viewer.marks import Mark
 
 SKY = (0.94, 0.96, 0.98, 1.0)
+ROOM = 3.2  # radii of what is seen: it fills a view of 45 degrees at 2.6
 FAR = 15.0  # extents of the model; MuJoCo cuts at 50
 
 
@@ -24,8 +25,8 @@ class Camera:
     Attributes:
         azimuth: of the line of sight about the vertical [deg]; 90 looks along +y.
         elevation: of the line of sight [deg]; below zero looks down.
-        distance: from what it looks at [m]; 1.5 times the model's extent unless given.
-        lookat: what it looks at `(3,)` [m]; the model's centre unless given.
+        distance: from what it looks at [m]; far enough to see all geoms but planes unless given.
+        lookat: what it looks at `(3,)` [m]; the middle of all geoms but planes unless given.
     """
 
     azimuth: float = 130.0
@@ -33,13 +34,24 @@ class Camera:
     distance: float | None = None
     lookat: tuple[float, float, float] | None = None
 
-    def of(self, model: mujoco.MjModel) -> mujoco.MjvCamera:
-        """Return the same as a camera of MuJoCo."""
+    def of(self, model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjvCamera:
+        """Return the same as a camera of MuJoCo, that sees the model in the state it is in."""
+        middle, radius = seen(model, data)
         camera = mujoco.MjvCamera()
         camera.azimuth, camera.elevation = self.azimuth, self.elevation
-        camera.distance = 1.5 * model.stat.extent if self.distance is None else self.distance
-        camera.lookat[:] = model.stat.center if self.lookat is None else self.lookat
+        camera.distance = ROOM * radius if self.distance is None else self.distance
+        camera.lookat[:] = middle if self.lookat is None else self.lookat
         return camera
+
+
+def seen(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, float]:
+    """Return the middle of all geoms but planes `(3,)`, and how far the furthest reaches from there [m]."""
+    solid = model.geom_type != int(mujoco.mjtGeom.mjGEOM_PLANE)
+    if not solid.any():
+        return np.array(model.stat.center), float(model.stat.extent)
+    places, sizes = data.geom_xpos[solid], model.geom_rbound[solid, None]
+    middle = 0.5 * ((places - sizes).min(axis=0) + (places + sizes).max(axis=0))
+    return middle, float((np.linalg.norm(places - middle, axis=1) + sizes[:, 0]).max())
 
 
 class Canvas:
@@ -47,6 +59,7 @@ class Canvas:
 
     Args:
         model: whose states are drawn; not changed.
+        data: the first state.
         width: of the pictures [pixels].
         height: of the pictures [pixels].
         camera: where from.
@@ -55,14 +68,14 @@ class Canvas:
         InputError: no way to render here.
     """
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int, camera: Camera) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, width: int, height: int, camera: Camera) -> None:
         use_working_backend()
         self._model = copy.deepcopy(model)
         self._model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
         self._model.vis.global_.offheight = max(height, model.vis.global_.offheight)
         self._model.vis.headlight.ambient[:] = np.maximum(model.vis.headlight.ambient, 0.35)
         self._model.vis.headlight.diffuse[:] = np.maximum(model.vis.headlight.diffuse, 0.5)
-        self._camera = camera.of(model)
+        self._camera = camera.of(model, data)
         self._renderer = mujoco.Renderer(self._model, height, width)
 
     def draw(self, data: mujoco.MjData, marks: Sequence[Mark] = ()) -> Picture:

@@ -60,7 +60,7 @@ class Film:
         self._path, self._kind = Path(path), kind_of(path)
         self._robot, self._levels, self._limits = robot, grouped(levels), limits
         self._rate, self._panel, self._frames = positive("rate", rate), panel, list[Picture]()
-        self._canvas = Canvas(robot.model, *size, camera or Camera())
+        self._canvas = Canvas(robot.model, robot.data, *size, camera or Camera())
 
     def add(self, motion: Motion | None = None) -> None:
         """Take a frame of the robot where it is; `motion` is the step that brought it here, for the panel."""
@@ -113,7 +113,7 @@ def picture(
     shown = grouped(levels)
     lines = lines_of(robot, shown, motion)
     holding = {name for line in lines for name in line.holding}
-    with Canvas(robot.model, *size, camera or Camera()) as canvas:
+    with Canvas(robot.model, robot.data, *size, camera or Camera()) as canvas:
         drawn = canvas.draw(robot.data, marks_of(robot, [task for tasks in shown for task in tasks], limits, holding))
     return _with_panel(drawn, lines) if panel and lines else drawn
 

@@ -9,6 +9,7 @@ import numpy as np
 import viser
 
 from prioritized_ik.robot import Robot
+from prioritized_ik.viewer.canvas import seen
 from prioritized_ik.viewer.marks import Mark
 from prioritized_ik.viewer.panel import Line
 
@@ -28,8 +29,8 @@ class Page:
         self._panel = self._server.gui.add_html("")
         self._marks: dict[int, Handle] = {}
         self._server.gui.configure_theme(show_logo=False, control_layout="floating")
-        extent, centre = float(robot.model.stat.extent), np.array(robot.model.stat.center)
-        self._server.initial_camera.position = centre + extent * np.array([0.8, -0.65, 0.3])
+        centre, radius = seen(robot.model, robot.data)
+        self._server.initial_camera.position = centre + radius * np.array([1.6, -1.3, 0.6])
         self._server.initial_camera.look_at = centre
         self.is_open = True
 
