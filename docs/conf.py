@@ -5,11 +5,12 @@ import re
 from pathlib import Path
 from typing import Any
 
-import prioritized_ik
 from docutils.nodes import Element, Node, SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+
+import prioritized_ik
 
 #: Public names by stage, as the stub file of the package groups them.
 STAGES = {
@@ -42,6 +43,7 @@ html_title = "prioritized_ik"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_show_sphinx = False
+html_show_search_summary = False  # it is fetched page by page, which browsers refuse of files
 html_copy_source = False
 html_math_renderer = "mathml"
 copybutton_exclude = ".linenos, .gp, .go"
