@@ -15,7 +15,7 @@ ROOT = Path(prioritized_ik.__file__).parent
 
 #: A layer imports those before it; the entries of one layer do not import each other.
 LAYERS = [
-    {"errors", "tolerances"},
+    {"errors", "tolerances", "late"},
     {"validation", "files", "rendering", "extras"},
     {"pictures"},
     {"models", "jacobians"},

@@ -9,8 +9,10 @@ from tolerances import NORMAL, ROUNDING
 
 from prioritized_ik.models import DIRECTIONS
 from prioritized_ik.problem import Bounds, IKProblem, Rows
+from prioritized_ik.solvers.compiled.library import Library
 from prioritized_ik.touch import Touch
 from prioritized_ik.weights import diagonal_of_weights, winding_priorities, winding_weights
+from prioritized_ik.winding import compiled
 from prioritized_ik.winding.controller import Equilibrium, Situation, WindingController, levels_of
 from prioritized_ik.winding.plan import (
     DEAD_BAND,
@@ -343,12 +345,13 @@ def assert_same(one: object, other: object) -> None:
         assert one == other
 
 
-def test_a_situation_changed_later_does_not_change_the_problem_posed() -> None:
+@pytest.mark.parametrize("path", ["compiled", "python"])
+def test_a_situation_cannot_be_written(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = WindingSettings()
+    if path == "python":
+        monkeypatch.setattr(compiled, "library", lambda: Library(None, "switched off"))
     controller = WindingController(settings)
-    q = settings.initial_posture()
-    situation = controller.observe(q, np.zeros(17, dtype=bool))
-    problem = controller.problem(q, situation)
-    before = problem.levels[0].target.copy()
-    situation.desired[:] = 1.0
-    assert np.array_equal(problem.levels[0].target, before)
+    situation = controller.observe(settings.initial_posture(), np.zeros(17, dtype=bool))
+    for array in (situation.desired, situation.in_contact, situation.positions, situation.touch.distance):
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 1.0

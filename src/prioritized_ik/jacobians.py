@@ -23,15 +23,20 @@ class PointJacobians:
     Args:
         model: any MuJoCo model.
         bodies: the body that carries each point `(n,)`.
+
+    Attributes:
+        roots: the body at the root of each one's tree `(n,)`.
+        moving: which degrees of freedom move each body `(n, m)`.
     """
 
     def __init__(self, model: mujoco.MjModel, bodies: Sequence[int]) -> None:
-        self._roots = model.body_rootid[np.array(bodies, dtype=int)]
-        self._still = ~np.array([_moving(model, body) for body in bodies], dtype=bool).reshape(len(bodies), 1, model.nv)
+        self.roots = model.body_rootid[np.array(bodies, dtype=int)]
+        self.moving = np.array([_moving(model, body) for body in bodies], dtype=bool).reshape(len(bodies), model.nv)
+        self._still = ~self.moving[:, None]
 
     def moves(self, number: int) -> bool:
         """Return whether a joint moves the body of that number."""
-        return not self._still[number].all()
+        return bool(self.moving[number].any())
 
     def at(self, data: mujoco.MjData, points: Array, chosen: NDArray[np.int_] | slice = slice(None)) -> Array:
         """Return the Jacobians `(k, 3, m)` of `points` `(k, 3)` [m] in the world. Needs `mj_comPos`.
@@ -42,7 +47,7 @@ class PointJacobians:
             chosen: which of the bodies carry them `(k,)`; all unless given.
         """
         axes = data.cdof.T.take(_AXES, axis=0)
-        levers = (points - data.subtree_com[self._roots[chosen]]).take(_LEVERS, axis=1)[:, :, None]
+        levers = (points - data.subtree_com[self.roots[chosen]]).take(_LEVERS, axis=1)[:, :, None]
         # Products and sums in the order of `mj_jac`, so that rounding is the same: v + (ω_y r_z - ω_z r_y) and so on.
         jacobians = axes[:3] * levers[:, :3]
         jacobians -= axes[3:6] * levers[:, 3:]

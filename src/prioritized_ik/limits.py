@@ -4,7 +4,7 @@ import weakref
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Rows, trusted
@@ -13,6 +13,8 @@ from prioritized_ik.validation import Array, finite_array, gain_of, non_negative
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 OUTSIDE = 1e-4  # [rad] a joint this far outside its range is rounding of accepted steps; further is an error
+
+CONTACT_MARGIN = 0.05  # [m] only links nearer to the object than this get a contact row
 
 #: Names of joints by model: they cannot change, and asking MuJoCo for each takes longer than all else here.
 _NAMES: weakref.WeakKeyDictionary[mujoco.MjModel, tuple[str, ...]] = weakref.WeakKeyDictionary()
@@ -56,6 +58,14 @@ def joint_metric(model: mujoco.MjModel, length: float | None = None) -> Array:
     return np.where(translates, 1.0 / size**2, 1.0)
 
 
+def scalar_ranges(model: mujoco.MjModel) -> tuple[NDArray[np.int_], Array, Array]:
+    """Return the numbers of the limited hinges and slides `(k,)`, and the ends of their ranges `(k,)` [rad, m]."""
+    scalar = (model.jnt_type == _HINGE) | (model.jnt_type == _SLIDE)
+    joints = np.flatnonzero(scalar & (model.jnt_limited != 0))
+    low, high = model.jnt_range[joints].T.copy()
+    return joints, low, high
+
+
 def joint_range_bounds(model: mujoco.MjModel, q: ArrayLike) -> Bounds:
     """Return bounds that keep every limited hinge and slide joint in its range from position `q` `(nq,)`.
 
@@ -65,10 +75,8 @@ def joint_range_bounds(model: mujoco.MjModel, q: ArrayLike) -> Bounds:
     position = finite_array("q", q, (model.nq,))
     names = joint_names(model)
     lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
-    scalar = (model.jnt_type == _HINGE) | (model.jnt_type == _SLIDE)
-    joints = np.flatnonzero(scalar & (model.jnt_limited != 0))
+    joints, low, high = scalar_ranges(model)
     dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
-    low, high = model.jnt_range[joints].T
     here = position[places]
     down, up = low - here, high - here
     if down.max(initial=0.0) > OUTSIDE or up.min(initial=0.0) < -OUTSIDE:
@@ -99,7 +107,7 @@ def contact_rows(
     *,
     min_distance: float = 0.0,
     gain: float = 1.0,
-    margin: float = 0.05,
+    margin: float = CONTACT_MARGIN,
 ) -> Rows:
     """Return rows that keep links from coming closer than `min_distance` to the object.
 

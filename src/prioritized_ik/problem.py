@@ -473,9 +473,9 @@ def trusted(kind: type[Record], /, **fields: object) -> Record:
     """Return a record of `kind` with fields that need no check: arrays that this package made of checked ones."""
     record = object.__new__(kind)
     for value in fields.values():
-        if isinstance(value, np.ndarray):
-            value.flags.writeable = False
-    vars(record).update(fields)
+        if type(value) is np.ndarray:
+            value.setflags(write=False)
+    record.__dict__.update(fields)
     return record
 
 

@@ -15,7 +15,7 @@ from prioritized_ik.jacobians import PointJacobians
 from prioritized_ik.validation import Array, positive
 from prioritized_ik.virtual_arms import object_id
 
-REACH = 10.0  # [m] beyond this a link counts as this far away
+REACH = 10.0  # [m]
 _CAPSULE, _SPHERE = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_SPHERE)
 
 
@@ -25,8 +25,8 @@ class Touch:
 
     Attributes:
         distance: between link and object `(n,)` [m], negative in penetration.
-        normal: unit vectors from the object into the link at the nearest points `(n, 3)`; zero beyond `REACH`.
-        point: the nearest point on each link `(n, 3)` [m].
+        normal: unit vectors from the object into the link at the nearest points `(n, 3)`; zero beyond the reach.
+        point: the nearest point on each link `(n, 3)` [m]; of no meaning beyond the reach.
     """
 
     distance: Array
@@ -41,47 +41,55 @@ class TouchSensor:
         model: the MuJoCo model.
         link_geoms: one geom a link, base first.
         object_geom: the object's geom: any convex shape MuJoCo knows.
+        reach: beyond this a link counts as this far away [m].
 
     Raises:
         ModelError: a geom that the model lacks, or a link that is neither capsule nor sphere.
+        InputError: a reach that is not positive.
 
     Attributes:
         model: the MuJoCo model.
+        links, object: numbers of the geoms.
+        half_lengths: of the links' cores `(n,)` [m].
+        reach: see above.
         jacobians: of points on the links, base first, then of points on the object.
         object_moves: whether a joint moves the object.
     """
 
-    def __init__(self, model: mujoco.MjModel, link_geoms: Sequence[str], object_geom: str = "object") -> None:
+    def __init__(
+        self, model: mujoco.MjModel, link_geoms: Sequence[str], object_geom: str = "object", *, reach: float = REACH
+    ) -> None:
         self.model = model
-        self._links = np.array([object_id(model, "geom", name) for name in link_geoms], dtype=int)
-        self._object = object_id(model, "geom", object_geom)
-        for name, geom in zip(link_geoms, self._links, strict=True):
+        self.reach = positive("reach", reach)
+        self.links = np.array([object_id(model, "geom", name) for name in link_geoms], dtype=int)
+        self.object = object_id(model, "geom", object_geom)
+        for name, geom in zip(link_geoms, self.links, strict=True):
             if model.geom_type[geom] not in (_CAPSULE, _SPHERE):
                 kind = mujoco.mjtGeom(model.geom_type[geom]).name
                 raise ModelError(f"link geom {name!r} is a {kind}; expected a capsule or a sphere.")
-        self.object_body = int(model.geom_bodyid[self._object])
-        self.bodies = [int(body) for body in model.geom_bodyid[self._links]]
+        self.object_body = int(model.geom_bodyid[self.object])
+        self.bodies = [int(body) for body in model.geom_bodyid[self.links]]
         self.jacobians = PointJacobians(model, [*self.bodies, self.object_body])
         self.object_moves = self.jacobians.moves(len(self.bodies))
-        self._is_capsule = model.geom_type[self._links] == _CAPSULE
-        self._half_lengths = np.where(self._is_capsule, model.geom_size[self._links, 1], 0.0)  # (n,) [m]
+        self._is_capsule = model.geom_type[self.links] == _CAPSULE
+        self.half_lengths = np.where(self._is_capsule, model.geom_size[self.links, 1], 0.0)  # (n,) [m]
 
     def read(self, data: mujoco.MjData) -> Touch:
         """Return the reading at the current positions of `data`. Needs `mj_kinematics`."""
-        n = len(self._links)
+        n = len(self.links)
         segments = np.empty((n, 6))  # from the nearest point on each link to that on the object
-        pairs = zip(self._links.tolist(), segments, strict=True)
-        measured = [mujoco.mj_geomDistance(self.model, data, geom, self._object, REACH, to) for geom, to in pairs]
+        pairs = zip(self.links.tolist(), segments, strict=True)
+        measured = [mujoco.mj_geomDistance(self.model, data, geom, self.object, self.reach, to) for geom, to in pairs]
         distance, point = np.array(measured), segments[:, :3].copy()
         # The normal runs from the surface point to the capsule's core, a radius away: well defined at zero distance,
         # where the segment between the two nearest points is not.
-        centre = data.geom_xpos[self._links]
-        axis = data.geom_xmat[self._links].reshape(n, 3, 3)[:, :, 2]
+        centre = data.geom_xpos[self.links]
+        axis = data.geom_xmat[self.links].reshape(n, 3, 3)[:, :, 2]
         along = np.einsum("ni,ni->n", point - centre, axis)
-        along = np.minimum(np.maximum(along, -self._half_lengths), self._half_lengths)
+        along = np.minimum(np.maximum(along, -self.half_lengths), self.half_lengths)
         inward = centre + along[:, None] * axis - point
         size = np.sqrt((inward * inward).sum(axis=1))
-        size[distance >= REACH] = np.inf
+        size[distance >= self.reach] = np.inf
         return Touch(distance, inward / size[:, None], point)
 
 

@@ -60,6 +60,11 @@ class VirtualArms:
 
     Raises:
         ModelError: a point that the model does not have, no point at all, or unknown axes.
+
+    Attributes:
+        bodies: which carry the end points `(n,)`.
+        offsets: the end points in these bodies' frames `(n, 3)` [m].
+        jacobians: of points on these bodies.
     """
 
     def __init__(self, model: mujoco.MjModel, points: Sequence[EndPoint | str], axes: str = "xyz") -> None:
@@ -73,9 +78,9 @@ class VirtualArms:
         self.axes = axes
         self._rows = ["xyz".index(axis) for axis in axes]
         located = [_locate(model, point) for point in self.points]
-        self._bodies = np.array([body for body, _ in located])
-        self._jacobians = PointJacobians(model, self._bodies.tolist())
-        self._offsets = np.array([offset for _, offset in located])  # (n, 3), body frame
+        self.bodies = np.array([body for body, _ in located])
+        self.jacobians = PointJacobians(model, self.bodies.tolist())
+        self.offsets = np.array([offset for _, offset in located])  # (n, 3), body frame
 
     @property
     def count(self) -> int:
@@ -94,14 +99,14 @@ class VirtualArms:
 
     def jacobian(self, data: mujoco.MjData) -> Array:
         """Return the stacked Jacobian J `(L, m)` with dX_v = J dθ, L = l n (Eqs. 1, 3). Needs `mj_comPos`."""
-        blocks = self._jacobians.at(data, self._world_points(data))  # Eq. (1)
+        blocks = self.jacobians.at(data, self._world_points(data))  # Eq. (1)
         if self._rows != [0, 1, 2]:
             blocks = blocks[:, self._rows]
         return blocks.reshape(-1, self.model.nv)
 
     def _world_points(self, data: mujoco.MjData) -> Array:
-        rotations = data.xmat[self._bodies].reshape(-1, 3, 3)
-        return data.xpos[self._bodies] + np.einsum("nij,nj->ni", rotations, self._offsets)
+        rotations = data.xmat[self.bodies].reshape(-1, 3, 3)
+        return data.xpos[self.bodies] + np.einsum("nij,nj->ni", rotations, self.offsets)
 
 
 def jacobian_of_inner_arm(

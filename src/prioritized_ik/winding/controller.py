@@ -2,18 +2,21 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.limits import contact_rows, joint_range_bounds, step_bounds
+from prioritized_ik.late import Late
+from prioritized_ik.limits import CONTACT_MARGIN, contact_rows, joint_range_bounds, step_bounds
 from prioritized_ik.models import update_kinematics
-from prioritized_ik.problem import IKProblem, Level, trusted_level, trusted_problem
+from prioritized_ik.problem import Bounds, IKProblem, Level, Rows, trusted_level, trusted_problem
 from prioritized_ik.touch import Touch, TouchSensor, update_contact
 from prioritized_ik.validation import Array, read_only
 from prioritized_ik.virtual_arms import VirtualArms
 from prioritized_ik.weights import diagonal_of_weights, winding_priorities, winding_weights
+from prioritized_ik.winding.compiled import Parts, compiled_look, parts_of, same_look
 from prioritized_ik.winding.plan import driven_arms, first_and_last_in_contact, plan
 from prioritized_ik.winding.settings import WindingSettings
 
@@ -60,8 +63,40 @@ class Situation:
         return Equilibrium.WINDING if self.in_contact.any() else Equilibrium.FREE
 
 
+class SeenByCore(Situation):
+    """A situation as the compiled core wrote it; its arrays are made when looked at.
+
+    Attributes:
+        written: all of them, one after the other, see `compiled.parts_of`.
+    """
+
+    positions: Any = Late()
+    directions: Any = Late()
+    touch: Any = Late()
+    contact_vectors: Any = Late()
+    desired: Any = Late()
+    signs: Any = Late()
+    written: Array
+
+    def late_fields(self) -> dict[str, Any]:
+        """Return the fields that are made late."""
+        self.written.flags.writeable = False
+        parts = parts_of(self.written, len(self.in_contact))
+        touch = Touch(parts.pop("distance"), parts.pop("normal"), parts.pop("point"))
+        return parts | {"touch": touch}
+
+
 class WindingController:
-    """Winds by touch alone: it reads the arm's posture and contacts, never the object's size or place."""
+    """Winds by touch alone: it reads the arm's posture and contacts, never the object's size or place.
+
+    Looks and problems come from the compiled core where it can be had, see `compiled.py`.
+
+    Attributes:
+        settings: of the episode.
+        model, data: arm and object.
+        arms: the virtual arms.
+        sensor: of touch; it reaches no further than contact rows and contacts need.
+    """
 
     def __init__(self, settings: WindingSettings) -> None:
         self.settings = settings
@@ -69,13 +104,38 @@ class WindingController:
         self.data = mujoco.MjData(self.model)
         arm = settings.arm
         self.arms = VirtualArms(self.model, arm.end_sites)
-        self.sensor = TouchSensor(self.model, arm.link_geoms)
+        self.sensor = TouchSensor(self.model, arm.link_geoms, reach=max(CONTACT_MARGIN, 2.0 * settings.release_distance))
         self._links = np.array([self.model.body(name).id for name in arm.link_geoms])
         self._groups: dict[int, tuple[RowGroup, ...]] = {}  # by k
         self._step_bounds = step_bounds(self.model, settings.max_step)
+        self._compiled = compiled_look(Parts(settings, self.data, self.arms, self.sensor, self._links, CONTACT_MARGIN))
+        self._is_checked = False
+        self._seen: Situation | None = None  # what the core saw last
+
+    @property
+    def path(self) -> str:
+        """Which form looks and poses: "compiled" or "python"."""
+        return "python" if self._compiled is None else "compiled"
 
     def observe(self, q: Array, was_in_contact: NDArray[np.bool_]) -> Situation:
         """Return the situation at joint positions `q` `(m,)` [rad], given which links were in contact `(n,)`."""
+        self._seen = None
+        if self._compiled is not None and (written := self._compiled.observe(q, was_in_contact)) is not None:
+            seen = object.__new__(SeenByCore)
+            vars(seen).update(written)
+            if self._is_checked or self._is_right(seen, q, was_in_contact):
+                self._seen = seen
+                return seen
+        return self._observed(q, was_in_contact)
+
+    def _is_right(self, seen: Situation, q: Array, was_in_contact: NDArray[np.bool_]) -> bool:
+        """Whether the core's first look is the Python form's; if not, the core is not asked again."""
+        self._is_checked = True
+        if not same_look(seen, self._observed(q, was_in_contact)):
+            self._compiled = None
+        return self._compiled is not None
+
+    def _observed(self, q: Array, was_in_contact: NDArray[np.bool_]) -> Situation:
         settings = self.settings
         update_kinematics(self.model, self.data, q)
         touch = self.sensor.read(self.data)
@@ -91,18 +151,31 @@ class WindingController:
             dt=settings.dt,
             dead_band=settings.dead_band,
         )
-        return Situation(
-            self.arms.positions(self.data), directions, touch, in_contact, contact_vectors, first, last, desired, signs
-        )
+        positions = self.arms.positions(self.data)
+        for array in (*vars(touch).values(), positions, directions, in_contact, contact_vectors, desired, signs):
+            array.setflags(write=False)
+        return Situation(positions, directions, touch, in_contact, contact_vectors, first, last, desired, signs)
 
     def problem(self, q: Array, situation: Situation) -> IKProblem:
         """Return the problem of the step from `q`, where `situation` was observed last."""
-        settings = self.settings
-        jacobian, desired = self.arms.jacobian(self.data), situation.desired.flatten()
+        posed = None
+        if self._compiled is not None and situation is self._seen:
+            posed = self._compiled.pose(q)
+        jacobian, desired, bounds, rows = posed or self._posed(q, situation)
         levels = tuple(
-            trusted_level(jacobian[group.rows], desired[group.rows], group.weights, group.name)
-            for group in self._groups_after(situation.last)
+            [
+                trusted_level(jacobian[group.rows], desired[group.rows], group.weights, group.name)
+                for group in self._groups_after(situation.last)
+            ]
         )
+        settings = self.settings
+        return trusted_problem(
+            levels, bounds if settings.limits else None, rows if settings.contacts else None, self.model.nv
+        )
+
+    def _posed(self, q: Array, situation: Situation) -> tuple[Array, Array, Bounds | None, Rows | None]:
+        """Return J `(3 n, m)`, dX_v* `(3 n,)`, and bounds and contact rows where they are kept."""
+        settings = self.settings
         bounds, rows = None, None
         if settings.limits:
             bounds = joint_range_bounds(self.model, q).intersect(self._step_bounds)
@@ -114,7 +187,7 @@ class WindingController:
                 min_distance=settings.min_distance,
                 gain=settings.contact_gain,
             )
-        return trusted_problem(levels, bounds, rows, self.model.nv)
+        return self.arms.jacobian(self.data), situation.desired.flatten(), bounds, rows
 
     def _groups_after(self, k: int) -> tuple["RowGroup", ...]:
         """Return each level's rows where k is the last link in contact."""

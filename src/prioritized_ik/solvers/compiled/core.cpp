@@ -6,6 +6,7 @@
 #endif
 
 #include "step.hpp"
+#include "winding.hpp"
 
 #ifndef PRIORITIZED_IK_SOURCE
 #error "compile with -DPRIORITIZED_IK_SOURCE='\"digest of the sources\"', as hatch_build.py does"
@@ -75,3 +76,9 @@ EXPORTED int core_solve(Step* step, int levels, int level_rows, int rows, int eq
         return -1;
     }
 }
+
+EXPORTED int core_scene_size() { return int(sizeof(prioritized_ik::Scene)); }
+
+// `Look::Answer`, or the number of contact rows.
+EXPORTED int core_scene_observe(const prioritized_ik::Scene* scene) { return prioritized_ik::Look(*scene).observe(); }
+EXPORTED int core_scene_pose(const prioritized_ik::Scene* scene) { return prioritized_ik::Look(*scene).pose(); }

@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterable
 from time import perf_counter
 from typing import Any, NamedTuple
 
+from prioritized_ik.late import Late
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.certificate import Certificate
 from prioritized_ik.solvers.compiled.library import Ending, Question, library
@@ -36,19 +37,6 @@ class Remembered(NamedTuple):
         return tuple([self.names[number] for number in self.numbers])
 
 
-class _Late:
-    """A field of a `CompiledStep` that is put together with the others when the first is looked at."""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
-
-    def __get__(self, step: "CompiledStep | None", owner: type) -> Any:
-        if step is None:
-            return self
-        step.__dict__.update(_fields(step.written))
-        return step.__dict__[self._name]
-
-
 class CompiledStep(JointStep):
     """A step of the core: what a control loop needs is there, names and figures are put together when looked at.
 
@@ -56,15 +44,19 @@ class CompiledStep(JointStep):
         written: what the core wrote of it.
     """
 
-    costs: Any = _Late()
-    tight_rows: Any = _Late()
-    violation: Any = _Late()
-    certificate: Any = _Late()
-    repairs: Any = _Late()
-    levels: Any = _Late()
-    zeros: Any = _Late()
-    active_rows: Any = _Late()
+    costs: Any = Late()
+    tight_rows: Any = Late()
+    violation: Any = Late()
+    certificate: Any = Late()
+    repairs: Any = Late()
+    levels: Any = Late()
+    zeros: Any = Late()
+    active_rows: Any = Late()
     written: "Written"
+
+    def late_fields(self) -> dict[str, Any]:
+        """Return the fields that are put together late."""
+        return _fields(self.written)
 
     @property
     def is_judged(self) -> bool:

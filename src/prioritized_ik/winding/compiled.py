@@ -1,0 +1,224 @@
+"""The controller's look at its arm and the numbers of its problem, one call of the compiled core each (`winding.hpp`).
+
+`controller.py` is the form to read and the reference: the first look is taken both ways, and where they differ, or the core
+or MuJoCo's library cannot be had, the Python form goes on alone.
+"""
+
+import ctypes
+import warnings
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from prioritized_ik.limits import OUTSIDE, contact_row_name, joint_names, scalar_ranges
+from prioritized_ik.problem import Bounds, Rows, trusted
+from prioritized_ik.solvers.compiled.library import library
+from prioritized_ik.touch import TouchSensor
+from prioritized_ik.validation import LARGEST, Array
+from prioritized_ik.virtual_arms import VirtualArms
+from prioritized_ik.winding.settings import WindingSettings
+
+SAME = 1e-9  # [m] and of unit vectors: what the two forms may differ by at the first look; rounding is a millionth of it
+
+_VECTORS = ("positions", "directions", "normal", "point", "contact_vectors", "desired")  # (n, 3) each
+_NUMBERS = ("distance", "signs")  # (n,) each
+_SEEN = {"positions": "end_points"}  # where Scene has another name
+
+
+def parts_of(written: Array, links: int) -> dict[str, Array]:
+    """Return the arrays of a situation and its touch by name, as the core wrote them one after the other."""
+    end = 3 * links * len(_VECTORS)
+    parts = dict(zip(_VECTORS, written[:end].reshape(-1, links, 3), strict=True))
+    return parts | dict(zip(_NUMBERS, written[end:].reshape(-1, links), strict=True))
+
+
+class Scene(ctypes.Structure):
+    """What the core reads and writes: `Scene` in winding.hpp, field by field."""
+
+    _fields_ = (
+        [(name, ctypes.c_int32) for name in ("links", "joints", "positions", "object", "ranges")]
+        + [
+            (name, ctypes.c_double)
+            for name in (
+                *("reach", "contact_distance", "release_distance", "stride", "dead_band", "margin", "min_distance"),
+                *("gain", "max_step", "outside", "largest"),
+            )
+        ]
+        + [
+            (name, ctypes.c_void_p)
+            for name in (
+                *("model", "data", "kinematics", "com_pos", "geom_distance"),
+                *("geoms", "bodies", "roots", "end_bodies", "end_roots", "range_dofs", "range_places"),
+                *("moves", "end_moves", "offsets", "half_lengths", "range_low", "range_high"),
+                *("qpos", "xpos", "xmat", "geom_xpos", "geom_xmat", "cdof", "subtree_com"),
+                *("q", "was_in_contact"),
+                *("end_points", "directions", "distance", "normal", "point", "contact_vectors", "desired", "signs"),
+                *("in_contact", "first_and_last"),
+                *("jacobian", "row_matrix", "row_upper", "lower", "upper", "axes", "near"),
+            )
+        ]
+    )
+
+
+class Parts(NamedTuple):
+    """What a winding controller is made of; `links` are the bodies of the links `(n,)`, `margin` that of contact rows."""
+
+    settings: WindingSettings
+    data: mujoco.MjData
+    arms: VirtualArms
+    sensor: TouchSensor
+    links: NDArray[np.int_]
+    margin: float
+
+
+class CompiledLook:
+    """What the core needs to know of a controller, and the arrays that both see; for one thread at a time."""
+
+    def __init__(self, parts: Parts) -> None:
+        core, functions = library().core, mujoco_functions()
+        assert core is not None
+        assert functions is not None
+        settings, data, arms, sensor, links, margin = parts
+        model = sensor.model
+        n, m = settings.arm.links, model.nv
+        self._core_observe, self._core_pose = core.core_scene_observe, core.core_scene_pose
+        joints, low, high = scalar_ranges(model)
+        self._q, self._was = np.zeros(model.nq), np.zeros(n, dtype=bool)
+        self._written = np.zeros(n * (3 * len(_VECTORS) + len(_NUMBERS)))
+        self._touching, self._ends = np.zeros(n, dtype=bool), np.zeros(2, dtype=np.int32)
+        self._jacobian, self._bounds = np.zeros((3 * n, m)), np.zeros((2, m))
+        self._rows, self._sides, self._near = np.zeros((n, m)), np.zeros(n), np.zeros(n, dtype=np.int32)
+        self._joint_names = joint_names(model)
+        self._row_names: dict[bytes, tuple[str, ...]] = {}
+        kept: dict[str, NDArray[Any]] = {
+            "geoms": np.array(sensor.links, dtype=np.int32),
+            "bodies": np.array(links, dtype=np.int32),
+            "roots": np.array(sensor.jacobians.roots[:n], dtype=np.int32),
+            "end_bodies": np.array(arms.bodies, dtype=np.int32),
+            "end_roots": np.array(arms.jacobians.roots, dtype=np.int32),
+            "range_dofs": np.array(model.jnt_dofadr[joints], dtype=np.int32),
+            "range_places": np.array(model.jnt_qposadr[joints], dtype=np.int32),
+            "moves": sensor.jacobians.moving[:n].astype(np.uint8),
+            "end_moves": arms.jacobians.moving.astype(np.uint8),
+            "offsets": np.array(arms.offsets),
+            "half_lengths": np.array(sensor.half_lengths),
+            "range_low": low,
+            "range_high": high,
+            "q": self._q,
+            "was_in_contact": self._was,
+            "in_contact": self._touching,
+            "first_and_last": self._ends,
+            "jacobian": self._jacobian,
+            "row_matrix": self._rows,
+            "row_upper": self._sides,
+            "lower": self._bounds[0],
+            "upper": self._bounds[1],
+            "axes": np.zeros((6, m)),
+            "near": self._near,
+        }
+        kept |= {_SEEN.get(name, name): part for name, part in parts_of(self._written, n).items()}
+        self._desired = kept["desired"].reshape(-1)
+        for name in ("qpos", "xpos", "xmat", "geom_xpos", "geom_xmat", "cdof", "subtree_com"):
+            kept[name] = getattr(data, name)
+        self._kept = model, data, kept  # whose memory the scene points to
+        self._scene = Scene(
+            links=n,
+            joints=m,
+            positions=model.nq,
+            object=sensor.object,
+            ranges=len(joints),
+            reach=sensor.reach,
+            contact_distance=settings.contact_distance,
+            release_distance=settings.release_distance,
+            stride=settings.speed * settings.dt,
+            dead_band=settings.dead_band,
+            margin=margin,
+            min_distance=settings.min_distance,
+            gain=settings.contact_gain,
+            max_step=settings.max_step,
+            outside=OUTSIDE,
+            largest=LARGEST,
+            model=model._address,
+            data=data._address,
+            **functions,
+            **{name: array.ctypes.data for name, array in kept.items()},
+        )
+        self._at = ctypes.byref(self._scene)
+
+    def observe(self, q: Array, was_in_contact: NDArray[np.bool_]) -> dict[str, Any] | None:
+        """Return what is seen at `q` `(m,)`: M, the first and last link in contact, and what `parts_of` takes apart.
+
+        None where the Python form is to say what is wrong with the positions.
+        """
+        if np.shape(q) != self._q.shape or np.shape(was_in_contact) != self._was.shape:
+            return None
+        self._q[:] = q
+        self._was[:] = was_in_contact
+        if self._core_observe(self._at):
+            return None
+        first, last = self._ends.tolist()
+        touching = self._touching.copy()
+        touching.setflags(write=False)
+        return {"in_contact": touching, "first": first, "last": last, "written": self._written.copy()}
+
+    def pose(self, q: Array) -> tuple[Array, Array, Bounds, Rows] | None:
+        """Return J `(3 n, m)`, dX_v* `(3 n,)`, bounds and contact rows where the arm was observed last.
+
+        None as for `observe`.
+        """
+        self._q[:] = q
+        count = self._core_pose(self._at)
+        if count < 0:
+            return None
+        lower, upper = self._bounds.copy()
+        near = self._near[:count].tobytes()
+        names = self._row_names.get(near)
+        if names is None:
+            names = self._row_names[near] = tuple(contact_row_name(link + 1) for link in self._near[:count].tolist())
+        return (
+            self._jacobian.copy(),
+            self._desired.copy(),
+            trusted(Bounds, lower=lower, upper=upper, names=self._joint_names),
+            trusted(Rows, matrix=self._rows[:count].copy(), upper=self._sides[:count].copy(), names=names),
+        )
+
+
+def compiled_look(parts: Parts) -> CompiledLook | None:
+    """Return the compiled form of a controller's look, or None where there is none: it knows objects that stand still."""
+    if parts.sensor.object_moves or library().core is None or mujoco_functions() is None:
+        return None
+    return CompiledLook(parts)
+
+
+def same_look(one: Any, other: Any) -> bool:
+    """Whether two situations, one by each form, differ by rounding at most; says so if not."""
+    pairs = [
+        (getattr(one, name), getattr(other, name)) for name in ("positions", "directions", "contact_vectors", "desired")
+    ]
+    pairs += [(getattr(one.touch, name), getattr(other.touch, name)) for name in ("distance", "normal", "point")]
+    apart = max(float(np.abs(a - b).max(initial=0.0)) for a, b in pairs)
+    if apart <= SAME and (one.in_contact == other.in_contact).all():
+        return True
+    message = f"the compiled look at the arm is {apart:.1e} off the Python form's, which is used; please report it"
+    warnings.warn(message, RuntimeWarning, stacklevel=2)
+    return False
+
+
+@cache
+def mujoco_functions() -> dict[str, Any] | None:
+    """Return the addresses of MuJoCo's functions that the core calls, None where its library is not found."""
+    folder = Path(mujoco.__file__).parent
+    for path in sorted([*folder.glob("libmujoco*.so*"), *folder.glob("libmujoco*.dylib")]):
+        try:
+            found = ctypes.CDLL(str(path))
+            if found.mj_version() != mujoco.mj_version():
+                continue
+            named = {"kinematics": found.mj_kinematics, "com_pos": found.mj_comPos, "geom_distance": found.mj_geomDistance}
+        except (OSError, AttributeError):
+            continue
+        return {name: ctypes.cast(function, ctypes.c_void_p).value for name, function in named.items()}
+    return None
