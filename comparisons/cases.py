@@ -1,4 +1,4 @@
-"""The windings that a comparison runs: the product of what is swept, or the user's own recorded episodes."""
+"""What a comparison runs: windings, the product of what is swept; scenes; or what the user recorded."""
 
 import hashlib
 import itertools
@@ -7,32 +7,36 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from comparisons.episodes import Posed, has_one_level, load_record
 from comparisons.settings import RECORDER, ComparisonSettings
 from prioritized_ik.errors import EpisodeFileError, InputError
 from prioritized_ik.files import UNREADABLE
 from prioritized_ik.models import Arm
+from prioritized_ik.scene.task_file import load_scene
 from prioritized_ik.winding.episode import Episode
 from prioritized_ik.winding.settings import WindingSettings
 
 
 @dataclass(frozen=True)
 class Case:
-    """One winding.
+    """One episode: a winding, a scene, or problems that were recorded.
 
     Attributes:
-        name: what tells it from the others: the direction and what else is swept: `up link=6 tilt=0.3`.
-        winding: how it is recorded.
+        name: what tells it from the others: of a winding, the direction and what else is swept: `up link=6 tilt=0.3`.
+        posed: what poses its problems; None where nobody knows, so that nobody drives it.
         file: where it is recorded already; None if the comparison records it.
+        one_level: whether its problems have one level, as the damped formulation and mink need.
     """
 
     name: str
-    winding: WindingSettings
+    posed: Posed | None
     file: Path | None = None
+    one_level: bool = True
 
     @property
-    def one_level(self) -> bool:
-        """Whether its problems have one level, as the damped formulation and mink need."""
-        return self.winding.weights != "strict"
+    def winding(self) -> WindingSettings | None:
+        """How it is wound, if it is a winding."""
+        return self.posed if isinstance(self.posed, WindingSettings) else None
 
 
 def cases_of(settings: ComparisonSettings) -> list[Case]:
@@ -43,8 +47,19 @@ def cases_of(settings: ComparisonSettings) -> list[Case]:
         EpisodeFileError: the folder of recorded episodes holds a file that is neither an episode nor a QP.
     """
     if settings.recorded:
-        return [Case(path.stem, Episode.load(path).settings, path) for path in own_files(settings.recorded)[0]]
-    cases = []
+        return [_recorded(path) for path in own_files(settings.recorded)[0]]
+    if settings.scenes:
+        return [_scene(Path(file)) for file in settings.scenes]
+    return [Case(name, winding) for name, winding in windings_of(settings).items()]
+
+
+def windings_of(settings: ComparisonSettings) -> dict[str, WindingSettings]:
+    """Return the windings that are the product of what is swept, by name.
+
+    Raises:
+        InputError: a combination that is no winding.
+    """
+    windings = {}
     swept: dict[str, tuple[Any, ...]] = {
         "links": settings.links, "link": settings.link, "object": settings.shapes, "diameter": settings.diameter,
         "tilt": settings.tilt, "seed": settings.seeds or (0,),
@@ -52,7 +67,7 @@ def cases_of(settings: ComparisonSettings) -> list[Case]:
     for direction, *values in itertools.product(settings.directions, *swept.values()):
         links, link, shape, diameter, tilt, seed = values
         named = [f"{name}={value}" for (name, all_), value in zip(swept.items(), values, strict=True) if len(all_) > 1]
-        winding = WindingSettings(
+        windings[" ".join([direction, *named])] = WindingSettings(
             arm=Arm(links=links),
             shape=shape,
             size=(diameter / 2.0,) if shape == "sphere" else (diameter / 2.0, 0.5),
@@ -64,14 +79,23 @@ def cases_of(settings: ComparisonSettings) -> list[Case]:
             solver=RECORDER,
             options=settings.options(),
         )
-        cases.append(Case(" ".join([direction, *named]), winding))
-    return cases
+    return windings
+
+
+def _recorded(path: Path) -> Case:
+    record = load_record(path)
+    return Case(path.stem, record.settings if isinstance(record, Episode) else None, path, has_one_level(record))
+
+
+def _scene(path: Path) -> Case:
+    scene = load_scene(path)
+    return Case(path.stem, scene, one_level=len({task.level for task in scene.tasks}) == 1)
 
 
 def own_files(folder: str) -> tuple[list[Path], list[Path]]:
-    """Return the episodes and the QPs among the .npz files of a folder.
+    """Return the records and the QPs among the .npz files of a folder.
 
-    Episodes are what `wind --save` writes, QPs what `qpsolvers.Problem.save` does.
+    Records are what `wind --save`, `solve --save` and `save_problem` write, QPs what `qpsolvers.Problem.save` does.
 
     Raises:
         InputError: there is neither.
@@ -91,7 +115,10 @@ def own_files(folder: str) -> tuple[list[Path], list[Path]]:
         else:
             episodes.append(path)
     if not episodes and not qps:
-        raise InputError(f"{folder!r} holds no .npz file; expected episodes of `wind --save`, or QPs of `Problem.save`.")
+        raise InputError(
+            f"{folder!r} holds no .npz file; expected episodes of `wind --save` or `solve --save`, problems of "
+            "`save_problem`, or QPs of `Problem.save`."
+        )
     return episodes, qps
 
 

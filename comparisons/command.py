@@ -102,7 +102,8 @@ def _table_of_solvers() -> "Table":
 @click.option("--tilt", default="0.0", help="Tilt of the object's axis [rad].")
 @click.option("--seeds", default="", help="Seeds of random initial postures, 1,2 or 0:50; straight unless given.")
 @click.option("--accuracy", default="1e-08", help="Asked of every solver, in the stages' scaled variables.")
-@click.option("--recorded", default="", help="Folder of your own episodes (wind --save) and QPs (Problem.save), instead.")
+@click.option("--scene", "scenes", multiple=True, help="Task file to run instead of windings; can be repeated.")
+@click.option("--recorded", default="", help="Folder of your own episodes and problems (.npz), instead; see docs.")
 @click.option("--rank-tolerance", default=1e-4, help="Shared by all: singular values below this fraction count as zero.")
 @click.option("--damping", default=1e-12, help="Of the damped and slack formulations.")
 @click.option("--closed-form-first/--no-closed-form-first", default=False, help="Skip the QP where no row binds.")
@@ -134,6 +135,7 @@ def compare(
     tilt: str,
     seeds: str,
     accuracy: str,
+    scenes: tuple[str, ...],
     recorded: str,
     rank_tolerance: float,
     damping: float,
@@ -190,6 +192,7 @@ def compare(
         seeds=_seeds(seeds),
         accuracy=_numbers("accuracy", accuracy, float),
         recorded=recorded,
+        scenes=scenes,
         rank_tolerance=rank_tolerance,
         damping=damping,
         closed_form_first=closed_form_first,

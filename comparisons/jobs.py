@@ -78,13 +78,15 @@ def replays(settings: ComparisonSettings, cases: Sequence[Case]) -> list[Job]:
 
 
 def drives(settings: ComparisonSettings, cases: Sequence[Case]) -> list[Job]:
-    """Return all windings that solvers drive themselves, the longest first."""
+    """Return all episodes that solvers drive themselves, the longest first."""
     if not settings.drive:
         return []
     todo = []
     for case in cases:
+        if case.posed is None:
+            continue
         rows = [form for name in settings.solvers for form in _forms(settings, name) if _drives(name, form[1])]
-        others = [(CLOSED_FORM, "closed form"), *((name, MINK) for name in MINK_ROWS if settings.mink)]
+        others = [(CLOSED_FORM, "closed form"), *_of_mink(settings, case)]
         for solver, formulation in dict.fromkeys([*rows, *(others if case.one_level else [])]):
             if case.one_level or formulation not in ONE_LEVEL:
                 accuracy = min(_accuracies(settings, solver, formulation), key=lambda a: a or 0.0)
@@ -101,7 +103,7 @@ def starts_warm(solver: str) -> bool:
 def _rows(settings: ComparisonSettings, case: Case) -> list[tuple[str, str, float | None, str]]:
     """Return solver, formulation, accuracy and start of everything that replays a case once."""
     forms = [form for name in settings.solvers for form in _forms(settings, name)]
-    forms += [(name, MINK) for name in MINK_ROWS if settings.mink and case.one_level]
+    forms += _of_mink(settings, case)
     forms += [(WITNESS, REFERENCE)] if settings.witness else []
     rows: list[tuple[str, str, float | None, str]] = []
     for solver, formulation in dict.fromkeys(forms):
@@ -111,6 +113,11 @@ def _rows(settings: ComparisonSettings, case: Case) -> list[tuple[str, str, floa
             asked = _accuracies(settings, solver, formulation)
             rows += [(solver, formulation, accuracy, start) for accuracy in asked for start in starts]
     return rows
+
+
+def _of_mink(settings: ComparisonSettings, case: Case) -> list[tuple[str, str]]:
+    """Return mink's rows: it poses its own problem, of windings of one level alone."""
+    return [(name, MINK) for name in MINK_ROWS] if settings.mink and case.one_level and case.winding else []
 
 
 def _forms(settings: ComparisonSettings, name: str) -> list[tuple[str, str]]:

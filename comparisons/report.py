@@ -48,7 +48,8 @@ COLUMNS: dict[str, Cell] = {
     "p99 [ms]": _number("solve_time_p99_s", ".1f", 1e3),
     "cold": _number("cold_time_p50_s", ".2f", 1e3),
     "polish": _number("polish_time_p50_s", ".2f", 1e3),
-    "wound": lambda row: f"{row.wound}/{row.episodes}" if row.episodes else "–",
+    "done": lambda row: f"{row.done}/{row.episodes}" if row.episodes else "–",
+    "task err.": _number("task_error_max", ".0e"),
     "turns": _number("turns_ratio_min", ".2f"),
     "pen. [mm]": _number("penetration_max_m", ".1f", 1e3),
     "bend [rad]": _number("bend_max_rad", ".2f"),
@@ -65,16 +66,18 @@ LEGEND = (
     "largest distance from the answer of most; same bits, how many are equal to that to the last bit. Mean: "
     "shifted geometric mean (shift 1 ms) of building and solving one step, one not found counting as the time limit; "
     "p50, p99: of the same. Of solvers that can start warm these are warm, and cold is their p50 without. Polish: polish "
-    "and certificate. Wound, turns (over the ideal), penetration (negative: clearance), bend, drift: worst of the "
-    "windings that the solver drove itself. Agrees: every step found, dθ, dX and cost gap within 1e-6, bound dX too (or "
-    "what `abilities.py` states of solvers that stray), 99 % certified and equal within 1e-12, every arm wound."
+    "and certificate. Done: episodes that the solver drove itself and that ended as they should, windings wound, scenes "
+    "as when recorded; worst of scenes: task err., of a required task at the end [m, rad]; of windings: turns (over the "
+    "ideal), penetration (negative: clearance), bend, drift. Agrees: every step found, dθ, dX and cost gap within 1e-6, "
+    "bound dX too (or what `abilities.py` states of solvers that stray), 99 % certified and equal within 1e-12, every "
+    "episode done."
 )
 
 _STYLES = {"agrees": "green", "reference": "cyan", "disagrees": "yellow", "fails": "red"}
 
 
 _WHO = ("solver", "formulation")
-_DRIVEN = ("wound", "turns", "pen. [mm]", "bend [rad]", "drift [mm]")
+_DRIVEN = ("done", "task err.", "turns", "pen. [mm]", "bend [rad]", "drift [mm]")
 
 
 def show(rows: list[Row], console: Console) -> None:

@@ -13,14 +13,18 @@ import platform
 import sys
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import mujoco
+import numpy as np
+
 from comparisons import origin, worker
 from comparisons.cases import Case, cases_of, file_name, own_files
+from comparisons.episodes import Posed, driven_by, ended_well
 from comparisons.isolation import Limits, LostError, isolated, isolated_each, prepare
 from comparisons.jobs import WITNESS_SOLVER, Job, drives, replays
 from comparisons.own_qps import load_qp, measure_qps
@@ -30,17 +34,17 @@ from comparisons.spread import Piece, spread_over
 from comparisons.store import Store
 from comparisons.tables import EPISODES, Record
 from prioritized_ik.errors import InputError, PrioritizedIkError
+from prioritized_ik.scene.task_file import load_scene
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.registry import LEXICOGRAPHIC, get_method, parts_of, registered
 from prioritized_ik.winding.episode import Outcome
-from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
 Progress = Callable[[str, int, int], None]  # what is done, how many are, of how many
 
 SAMPLES = 4  # cases whose problems are kept in memory
 
 #: What does not decide figures but only where and how fast they are made.
-WHERE = ("workers", "scheduler", "recorded")
+WHERE = ("workers", "scheduler", "recorded", "scenes")
 
 
 class RunError(PrioritizedIkError):
@@ -132,19 +136,16 @@ class _Run:
 
     def _recording(self, case: Case) -> tuple[Any, ...]:
         recorded = None if case.file is None else case.file.read_bytes()
-        return case.name, self._settings.rank_tolerance, case.winding, recorded, self._limits
+        return case.name, self._settings, case.posed, recorded, self._limits
 
     def _replaying(self, job: Job) -> tuple[Any, ...]:
-        winding = self._cases[job.case].winding
-        return self._settings, job, winding, self._sample(job.case), self._extra_of(job), self._limits
+        return self._settings, job, self._cases[job.case].posed, self._sample(job.case), self._extra_of(job), self._limits
 
     def _driving(self, job: Job) -> tuple[Any, ...]:
-        winding = self._cases[job.case].winding
-        if job.solver == CLOSED_FORM:
-            winding = replace(winding, limits=False, contacts=False)
+        posed = self._cases[job.case].posed
+        assert posed is not None
         options = self._settings.options(job.formulation, job.accuracy)
-        winding = replace(winding, solver=job.method, options=options)
-        return self._settings, job, winding, self._extra_of(job), self._limits
+        return self._settings, job, driven_by(posed, job.method, options), self._extra_of(job), self._limits
 
     def _extra_of(self, job: Job) -> worker.Factories:
         return {name: factory for name, factory in self._extra.items() if name == job.solver}
@@ -164,7 +165,8 @@ class _Run:
         file = f"driven/{job.file}.npz" if content is not None and self._keep_driven else None
         if file is not None:
             self.store.write_file(file, lambda opened: opened.write(content))
-        self._add_rows("episodes", job.file, self._who(job), (where, [{**row, "file": file}]))
+        done = ended_well(row["outcome"], self.store.recorded(job.case))
+        self._add_rows("episodes", job.file, self._who(job), (where, [{**row, "done": done, "file": file}]))
 
     def _add_rows(self, kind: str, name: str, who: Record, told: tuple[Record, list[Record]]) -> None:
         where, rows = told
@@ -174,11 +176,12 @@ class _Run:
 
     def _who(self, job: Job) -> Record:
         who = {name: value for name, value in asdict(job).items() if name != "kind"}
-        return {**who, "direction": self._cases[job.case].winding.direction}
+        winding = self._cases[job.case].winding
+        return {**who, "direction": None if winding is None else winding.direction}
 
 
 def record(
-    case: str, rank_tolerance: float, winding: WindingSettings, recorded: bytes | None, limits: Limits
+    case: str, settings: ComparisonSettings, posed: Posed | None, recorded: bytes | None, limits: Limits
 ) -> tuple[Record, Record]:
     """Return where it was done, and the `episode` of a case and which of its steps are `free`.
 
@@ -186,7 +189,7 @@ def record(
     """
     prepare()
     try:
-        with closing(isolated(worker.record, (rank_tolerance, winding, recorded), limits)) as things:
+        with closing(isolated(worker.record, (settings, posed, recorded), limits)) as things:
             return _here(), next(things)
     except LostError as lost:
         raise RunError(f"case {case!r} cannot be recorded: {lost}") from lost
@@ -195,7 +198,7 @@ def record(
 def replay(
     settings: ComparisonSettings,
     job: Job,
-    winding: WindingSettings,
+    posed: Posed | None,
     sample: list[Sampled],
     extra: worker.Factories,
     limits: Limits,
@@ -203,20 +206,20 @@ def replay(
     """Return where it was done, and the record of each problem of `sample`, in spite of whatever the solver does."""
     prepare()
     about, records = isolated_each(
-        worker.replay, sample, lambda rest: (settings, job, winding, rest, extra), worker.failed, limits
+        worker.replay, sample, lambda rest: (settings, job, posed, rest, extra), worker.failed, limits
     )
     return {**_here(), **about}, records
 
 
 def drive(
-    settings: ComparisonSettings, job: Job, winding: WindingSettings, extra: worker.Factories, limits: Limits
+    settings: ComparisonSettings, job: Job, posed: Posed, extra: worker.Factories, limits: Limits
 ) -> tuple[Record, list[Record]]:
-    """Return where it was done, and the record of a driven winding, with the `episode` as bytes if there is one."""
+    """Return where it was done, and the record of a driven episode, with the `episode` as bytes if there is one."""
     prepare()
     about: Record = {}
     row: Record = {**dict.fromkeys(EPISODES), "outcome": Outcome.SOLVER_FAILED.name}
     try:
-        with closing(isolated(worker.drive, (settings, job, winding, extra), limits)) as things:
+        with closing(isolated(worker.drive, (settings, job, posed, extra), limits)) as things:
             about = next(things)
             row = next(things)
     except LostError as lost:
@@ -253,9 +256,24 @@ def made_by(settings: ComparisonSettings) -> dict[str, Any]:
     deciding = {name: value for name, value in asdict(settings).items() if name not in WHERE}
     files = [path for paths in own_files(settings.recorded) for path in paths] if settings.recorded else []
     digests = {path.name: hashlib.sha256(path.read_bytes()).hexdigest()[:12] for path in files}
+    scenes = {Path(file).name: scene_digest(Path(file)) for file in settings.scenes}
     plugins = {name: _source_digest(factory) for name, factory in registered().items() if name in settings.solvers}
-    made = {"recorded": digests, "plugins": plugins, "version": _versions(settings), "program": origin.code()}
+    made = {
+        "recorded": digests,
+        "scenes": scenes,
+        "plugins": plugins,
+        "version": _versions(settings),
+        "program": origin.code(),
+    }
     return {**deciding, **made}
+
+
+def scene_digest(file: Path) -> str:
+    """Return the beginning of the SHA-256 of a task file and of the model that it loads, meshes included."""
+    model = load_scene(file).model
+    compiled = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, compiled)
+    return hashlib.sha256(file.read_bytes() + compiled.tobytes()).hexdigest()[:12]
 
 
 def facts(settings: ComparisonSettings) -> dict[str, Any]:

@@ -54,7 +54,8 @@ class ComparisonSettings:
         drive: let every solver wind the arm itself as well.
         mink: compare with `mink.solve_ik`.
         witness: also solve the recorded steps by the problem written out in CVXPY.
-        recorded: folder with the user's own episodes and QPs, instead of the windings; empty for none.
+        recorded: folder with the user's own episodes, problems and QPs, instead of the windings; empty for none.
+        scenes: task files, instead of the windings.
         time_limit: of one problem [s].
         memory_limit: of one solver, beyond what a process has before it is called [GiB].
         workers: processes that work at the same time. Decides nothing but times.
@@ -80,6 +81,7 @@ class ComparisonSettings:
     mink: bool = True
     witness: bool = False
     recorded: str = ""
+    scenes: tuple[str, ...] = ()
     time_limit: float = 10.0
     memory_limit: float = 2.0
     workers: int = 1
@@ -113,8 +115,15 @@ class ComparisonSettings:
             positive(name, getattr(self, name))
         non_negative("damping", self.damping)
         self.options()
+        if self.recorded and self.scenes:
+            raise InputError("recorded episodes and scenes are both given; expected either.")
+        stems = [Path(file).stem for file in self.scenes]
+        if len(set(stems)) != len(stems):
+            raise InputError(f"scenes are {', '.join(self.scenes)}; expected names of which no two are the same.")
         if self.recorded and not Path(self.recorded).is_dir():
-            raise InputError(f"cannot read {self.recorded!r}; expected a folder with saved episodes or QPs (.npz).")
+            raise InputError(
+                f"cannot read {self.recorded!r}; expected a folder with saved episodes, problems or QPs (.npz)."
+            )
 
     def options(self, formulation: str = "lexicographic", accuracy: float | None = None) -> SolveOptions:
         """Return how a backend is to solve, by default at the finest accuracy."""

@@ -17,7 +17,7 @@ Two runs at a time in one folder are not provided for.
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -26,11 +26,11 @@ import polars
 
 from comparisons.cases import Case, file_name
 from comparisons.compared import compared
+from comparisons.episodes import Recorded, load_record
 from comparisons.tables import EPISODES, JOB, ORIGIN, QPS, STEPS, Schema
 from prioritized_ik.errors import InputError
 from prioritized_ik.files import advising, write_whole
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.winding.episode import Episode
 
 PARTS: dict[str, Schema] = {
     "steps": {**JOB, **STEPS, **ORIGIN},
@@ -50,7 +50,7 @@ class Store:
 
     Attributes:
         folder: where they are; `file` of an episode starts from it.
-        recorded: returns the recorded `Episode` of a case, by name.
+        recorded: returns the record of a case, by name.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -141,9 +141,9 @@ class Store:
         """
         return self.recorded(case).problem(step)
 
-    def _recorded(self, case: str) -> Episode:
+    def _recorded(self, case: str) -> Recorded:
         """Return the recorded episode of a case."""
-        return Episode.load(self.folder / f"recorded/{file_name(case)}.npz")
+        return load_record(self.folder / f"recorded/{file_name(case)}.npz")
 
     def replayed(self, case: str) -> list[int]:
         """Return which steps of the recorded episode are replayed."""
@@ -166,7 +166,7 @@ class Store:
         frame = polars.DataFrame(rows, schema=PARTS[kind], orient="row")
         self.write_file(f"parts/{kind}/{name}.parquet", frame.write_parquet)
 
-    def add_case(self, case: Case, episode: bytes, free: list[bool], replayed: list[int]) -> None:
+    def add_case(self, case: Case, episode: bytes, free: Sequence[bool | None], replayed: list[int]) -> None:
         """Write the recorded episode of a case, and which of its steps are replayed."""
         self.write_file(f"recorded/{file_name(case.name)}.npz", lambda file: file.write(episode))
         self.add("recorded", file_name(case.name), [{"step": step, "free": free[step]} for step in replayed])

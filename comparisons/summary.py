@@ -12,7 +12,6 @@ from comparisons.profiles import WHO, error, per_problem, shifted_geometric_mean
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.validation import Array
-from prioritized_ik.winding.episode import Outcome
 from prioritized_ik.winding.settings import CLOSED_FORM
 
 AGREES = 1e-6  # relative error of a free step, and level-1 cost above the best found, up to which a solver agrees
@@ -60,8 +59,10 @@ class Row:
         polish_time_p50_s: of the polish, with the certificates that steer it.
         certificate_time_p50_s: of one certificate by itself.
         constrained_time_p50_s: of building, solving and polishing on constrained steps.
-        turns_ratio_min, penetration_max_m, bend_max_rad, drift_max_m: worst of the driven episodes.
-        wound: driven episodes that reached equilibrium [1], of `episodes`.
+        turns_ratio_min, penetration_max_m, bend_max_rad, drift_max_m: worst of the driven windings.
+        task_error_max: worst of the driven scenes: the largest error of a required task at the end [m, rad].
+        done: driven episodes, of `episodes`, that ended as they should: windings in equilibrium [1], scenes as they ended
+            when they were recorded.
         verdict: `reference`, `agrees`, `agrees: strays …` (see `abilities.py`), `disagrees: …` or `fails: …`.
     """
 
@@ -99,7 +100,8 @@ class Row:
     penetration_max_m: float | None
     bend_max_rad: float | None
     drift_max_m: float | None
-    wound: int
+    task_error_max: float | None
+    done: int
     episodes: int
     verdict: str
 
@@ -124,7 +126,7 @@ def summarise(steps: polars.DataFrame, episodes: polars.DataFrame, time_limit: f
 
     Args:
         steps: the long table of a `Store`.
-        episodes: its driven windings.
+        episodes: its driven episodes.
         time_limit: what a problem without an answer counts for in the shifted geometric mean [s].
     """
     replayed, driven = _by_row(steps), _by_row(episodes)
@@ -202,7 +204,8 @@ def _row(key: Key, steps: polars.DataFrame, episodes: polars.DataFrame, time_lim
         penetration_max_m=_worst(episodes, "penetration"),
         bend_max_rad=_worst(episodes, "bend"),
         drift_max_m=_worst(episodes, "drift"),
-        wound=int((episodes["outcome"] == Outcome.WOUND.name).sum()),
+        task_error_max=_worst(episodes, "error"),
+        done=int(episodes["done"].sum()),
         episodes=episodes.height,
         verdict="",
     )
@@ -230,8 +233,8 @@ def _verdict(row: Row) -> str:
         return f"disagrees: {row.certified_fraction:.1%} certified"
     if row.must_agree and row.certified_dtheta_spread_max is not None and row.certified_dtheta_spread_max > SAME_STEP:
         return f"disagrees: certified dθ {row.certified_dtheta_spread_max:.0e}"
-    if row.wound < row.episodes:
-        return f"fails: {row.episodes - row.wound}/{row.episodes} windings"
+    if row.done < row.episodes:
+        return f"fails: {row.episodes - row.done}/{row.episodes} episodes"
     if row.constrained_dx_error_max is not None and row.constrained_dx_error_max > AGREES:
         return f"agrees: strays dX {row.constrained_dx_error_max:.0e}"
     return "agrees"

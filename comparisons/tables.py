@@ -16,7 +16,7 @@ _VECTOR = polars.List(polars.Float64)
 #: `accuracy` is null where none is asked for: the damped formulation, mink and the closed form.
 JOB: Schema = {
     "case": polars.String,
-    "direction": polars.String,
+    "direction": polars.String,  # of a winding
     "solver": polars.String,
     "version": polars.String,
     "formulation": polars.String,
@@ -64,9 +64,11 @@ COMPARED: Schema = {
 
 EPISODES: Schema = {
     "outcome": polars.String,
+    "done": polars.Boolean,  # wound; of a scene, whether it ended as it did when it was recorded
     "message": polars.String,
     "failure": polars.String,
     "steps": polars.Int64,
+    "error": polars.Float64,  # of a scene, the largest of its required tasks at the end [m, rad]
     "turns": polars.Float64,
     "turns_ratio": polars.Float64,
     "penetration": polars.Float64,

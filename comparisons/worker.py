@@ -4,20 +4,18 @@ A backend's calls go through a guard, which tells its errors and what is no answ
 """
 
 import contextlib
-import io
-import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
 from typing import TypeVar
 
 import numpy as np
 
+from comparisons.episodes import Posed, content_of, figures_of, play, record_of
 from comparisons.isolation import ERROR, MEMORY, NAN, BadAnswerError, Tell
 from comparisons.jobs import SLOW, WARM, Job
 from comparisons.judging import blank, judge
 from comparisons.sample import Sampled, free_steps
-from comparisons.settings import ComparisonSettings
+from comparisons.settings import RECORDER, ComparisonSettings
 from comparisons.tables import Record
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.backends.protocol import Backend, StageResult
@@ -30,9 +28,6 @@ from prioritized_ik.solvers.solve import step_of
 from prioritized_ik.solvers.stages import Stage
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.validation import Array
-from prioritized_ik.winding.episode import Episode, wind
-from prioritized_ik.winding.metrics import measure
-from prioritized_ik.winding.settings import WindingSettings
 
 Factories = Mapping[str, Callable[[float], Method]]
 
@@ -41,26 +36,28 @@ Found = TypeVar("Found", StageResult, JointStep)
 NOT_FOUND = StepStatus.NOT_FOUND.name
 
 
-def record(tell: Tell, rank_tolerance: float, winding: WindingSettings, recorded: bytes | None) -> None:
-    """Tell the `episode` of a winding as bytes, and which of its steps are `free`.
+def record(tell: Tell, settings: ComparisonSettings, posed: Posed | None, recorded: bytes | None) -> None:
+    """Tell the `episode` of a case as bytes, and which of its steps are `free`.
 
     Args:
         tell: called with that.
-        rank_tolerance: of the closed form.
-        winding: how it is recorded.
+        settings: of the comparison.
+        posed: what is recorded.
         recorded: the bytes of an episode that is there already, instead.
     """
 
     def goes_on(_: int) -> None:
         tell(None, ours=True)
 
-    episode = wind(winding, on_step=goes_on) if recorded is None else episode_of(recorded)
-    free = free_steps(episode, rank_tolerance, on_step=goes_on)
-    tell({"episode": recorded or episode_bytes(episode), "free": free})
+    if recorded is None:
+        assert posed is not None
+        options = settings.options()
+        recorded = content_of(play(posed, get_method(RECORDER, options.accuracy), options, goes_on))
+    tell({"episode": recorded, "free": free_steps(record_of(recorded), settings.rank_tolerance, on_step=goes_on)})
 
 
 def replay(
-    tell: Tell, settings: ComparisonSettings, job: Job, winding: WindingSettings, sample: list[Sampled], extra: Factories
+    tell: Tell, settings: ComparisonSettings, job: Job, posed: Posed | None, sample: list[Sampled], extra: Factories
 ) -> None:
     """Tell the solver's version, then one record for each problem of `sample`, solved by the job's solver.
 
@@ -71,7 +68,7 @@ def replay(
     tell({"about": {"version": get_method(job.method).version}})
     options = settings.options(job.formulation, job.accuracy)
     for item in sample:
-        method, place = _guarded(job), Place(item.q, winding)
+        method, place = _guarded(job), Place(item.q, posed)
         if job.start == WARM and item.before is not None:
             with contextlib.suppress(BadAnswerError):  # to a problem that is not asked for
                 step_of(method, item.before, options, place)
@@ -88,37 +85,22 @@ def replay(
             tell(figures)
 
 
-def drive(tell: Tell, settings: ComparisonSettings, job: Job, winding: WindingSettings, extra: Factories) -> None:
-    """Tell the solver's version, then the record of a winding that the job's solver drives."""
+def drive(tell: Tell, settings: ComparisonSettings, job: Job, posed: Posed, extra: Factories) -> None:
+    """Tell the solver's version, then the record of an episode that the job's solver drives."""
     _register(extra)
     tell({"version": get_method(job.method).version}, ours=True)
     driver = _Driver(_guarded(job), tell)
-    episode = wind(winding, driver, on_step=lambda _: tell(None, ours=True))
+    options = settings.options(job.formulation, job.accuracy)
+    played = play(posed, driver, options, lambda _: tell(None, ours=True))
     tell(None, ours=True)
-    figures = asdict(measure(episode))
+    figures = figures_of(played)
     tell(None, ours=True)
-    outcome = {"outcome": episode.outcome.name, "message": episode.message, "failure": driver.failure}
-    tell({**figures, **outcome, "episode": episode_bytes(episode)})
+    tell({**figures, "failure": driver.failure, "episode": content_of(played)})
 
 
 def failed(item: Sampled, failure: str | None, message: str) -> Record:
     """Return the record of a problem to which there is no answer."""
     return {**blank(item), "status": NOT_FOUND, "message": message, "found": False, "failure": failure}
-
-
-def episode_bytes(episode: Episode) -> bytes:
-    """Return the file of an episode."""
-    file = io.BytesIO()
-    episode.write(file)
-    return file.getvalue()
-
-
-def episode_of(content: bytes) -> Episode:
-    """Return the episode whose file is `content`."""
-    with tempfile.NamedTemporaryFile(suffix=".npz") as file:
-        file.write(content)
-        file.flush()
-        return Episode.load(file.name)
 
 
 def _guarded(job: Job) -> Method:

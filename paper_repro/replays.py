@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import qpsolvers
 
-from comparisons.cases import cases_of
+from comparisons.cases import windings_of
 from comparisons.judging import judge
 from comparisons.methods import MINK as MINK_FAMILY
 from comparisons.sample import Sampled, sample
@@ -157,9 +157,9 @@ class Posed:
 @functools.cache
 def windings(scale: Scale, weights: str = "eq23") -> tuple[str, ...]:
     """Return the settings, as JSON, of the windings that are recorded: one a direction, every step of it by the QP."""
-    cases = cases_of(ComparisonSettings(solvers=(RECORDER,), directions=scale.directions))
+    posed = windings_of(ComparisonSettings(solvers=(RECORDER,), directions=scale.directions))
     changes: dict[str, Any] = {"weights": weights, **({"max_steps": BEGINNING} if scale.quick else {})}
-    return tuple(replace(case.winding, **changes).to_json() for case in cases)
+    return tuple(replace(winding, **changes).to_json() for winding in posed.values())
 
 
 @functools.cache

@@ -58,7 +58,7 @@ class SmallStore:
             outcome = Outcome.WOUND if name else Outcome.SOLVER_FAILED
             rows.append(
                 {**dict.fromkeys({**EPISODES, **ORIGIN}), **self._job(solver, 0), **figures, "outcome": outcome.name}
-                | {"message": "" if name else MESSAGE, "file": name}
+                | {"message": "" if name else MESSAGE, "file": name, "done": name is not None}
             )
         return polars.DataFrame(rows, schema={**JOB, **EPISODES, **ORIGIN}, orient="row")
 

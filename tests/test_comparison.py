@@ -198,9 +198,9 @@ def test_our_own_work_on_an_episode_is_not_on_a_solvers_time(folder: Path, monke
 
         return checked
 
-    worker.record(tell, RANK_TOLERANCE, episode.settings, (folder / "up.npz").read_bytes())
+    worker.record(tell, ComparisonSettings(solvers=("daqp",)), episode.settings, (folder / "up.npz").read_bytes())
     assert told[:-1] == [(None, True)] * episode.steps
-    for name in ("measure", "episode_bytes", "judge"):
+    for name in ("figures_of", "content_of", "judge"):
         monkeypatch.setattr(worker, name, on_our_time(getattr(worker, name)))
     settings = ComparisonSettings(solvers=("daqp",), drive=True)
     (job,) = (job for job in drives(settings, cases_of(settings)[:1]) if job.solver == "daqp")
@@ -291,7 +291,7 @@ def test_an_accuracy_out_of_a_solvers_reach_is_left_out_and_said() -> None:
 
 def test_problems_of_several_levels_are_spared_the_damped_formulation_and_mink() -> None:
     settings = ComparisonSettings(solvers=("daqp",))
-    strict = Case("strict", replace(cases_of(settings)[0].winding, weights="strict"))
+    strict = Case("strict", replace(cases_of(settings)[0].winding, weights="strict"), one_level=False)
     assert {job.formulation for job in replays(settings, [strict]) + drives(settings, [strict])} == {"lexicographic"}
 
 

@@ -23,9 +23,9 @@ from comparisons.page.profile import profiles, stairs_of
 from comparisons.page.replays import moved, replays
 from comparisons.page.series import Answers, answers_of, labels
 from comparisons.page.verdicts import finding, verdicts
-from comparisons.problem_file import load_problem
 from comparisons.summary import Row, summarise
 from prioritized_ik.errors import EpisodeFileError, InputError
+from prioritized_ik.problem_file import load_problem
 
 OFF_WORDS = "answered, and was wrong by more than the verdict allows"
 QUANTISED = 5e-5  # [m] half a step of 16-bit numbers over an arm of 1 m measures 8e-6

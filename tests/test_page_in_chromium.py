@@ -14,8 +14,8 @@ from PIL import Image
 from winding_fixtures import recorded
 
 from comparisons.page import write_page
-from comparisons.problem_file import load_problem
 from comparisons.summary import summarise
+from prioritized_ik.problem_file import load_problem
 
 EPISODE = recorded(link=13)  # what FAST drove, the first of the choice
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from comparisons.problem_file import load_problem, problem_bytes, save_problem
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.problem_file import load_problem, problem_bytes, save_problem
 
 
 @pytest.fixture

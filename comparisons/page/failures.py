@@ -8,9 +8,10 @@ from typing import Any
 import polars
 
 from comparisons.page.series import Answers
-from comparisons.problem_file import problem_bytes
 from comparisons.summary import AGREES, bound_limit
 from prioritized_ik.problem import IKProblem
+from prioritized_ik.problem_file import problem_bytes
+from prioritized_ik.reaching import Ending
 from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.winding.episode import Outcome
 
@@ -30,6 +31,9 @@ WORDS = {
     "uncertified": "answered, and no certificate was reached",
     Outcome.LOST.name: "drove the arm, which lost contact",
     Outcome.OUT_OF_STEPS.name: "drove the arm, which came to no end",
+    Ending.REACHED.name: "drove the robot, which met its tasks, as it did not when recorded",
+    Ending.OUT_OF_REACH.name: "drove the robot, which came to rest off its targets",
+    Ending.STUCK.name: "drove the robot, which limits held back",
     Outcome.SOLVER_FAILED.name: "drove the arm, and failed on the way",
 }
 
@@ -40,7 +44,7 @@ def failures(answers: Answers, episodes: polars.DataFrame, problem: Callable[[st
     A group is one way in which one series failed: `solver` (its label), `what`, `count` of `asked` steps or `windings`, the
     first `message`, and up to `EXAMPLES` steps, each `case`, `step` and whether its problem is among the `files`: base64 of
     the files of `problem_file`, by "case step". A wrong answer is a failure only of a series that must agree, the
-    lexicographic ones. Then the windings that did not succeed.
+    lexicographic ones. Then the driven episodes that did not succeed.
 
     Args:
         answers: of all series.
@@ -88,9 +92,9 @@ def failures(answers: Answers, episodes: polars.DataFrame, problem: Callable[[st
 
 
 def _windings(episodes: polars.DataFrame) -> list[dict[str, Any]]:
-    """Return a group for each outcome other than success of each solver's own windings."""
+    """Return a group for each way in which each solver's own episodes ended and should not."""
     groups: dict[tuple[str, str, str], list[dict[str, Any]]] = defaultdict(list)
-    for row in episodes.filter(polars.col("outcome").ne_missing(Outcome.WOUND.name)).iter_rows(named=True):
+    for row in episodes.filter(~polars.col("done").fill_null(value=False)).iter_rows(named=True):
         groups[row["solver"], row["formulation"], row.get("failure") or row["outcome"]].append(row)
     return [
         {

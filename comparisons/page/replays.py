@@ -20,7 +20,7 @@ FIGURES = ("turns", "turns_ratio", "penetration", "bend", "drift")
 
 
 def replays(folder: Path, episodes: polars.DataFrame) -> dict[str, Any]:
-    """Return `every` (which of the states are kept) and `windings`, one for each saved episode.
+    """Return `every` (which of the states are kept) and `windings`, one for each saved episode of a winding.
 
     Args:
         folder: where the episodes' files are.
@@ -29,7 +29,8 @@ def replays(folder: Path, episodes: polars.DataFrame) -> dict[str, Any]:
     Raises:
         EpisodeFileError: a file that the table names is damaged or not there.
     """
-    saved = [row for row in episodes.sort("case", maintain_order=True).iter_rows(named=True) if row["file"] is not None]
+    windings_of = episodes.filter(polars.col("file").is_not_null() & polars.col("turns").is_not_null())
+    saved = list(windings_of.sort("case", maintain_order=True).iter_rows(named=True))
     states = sum(int(row["steps"]) + 1 for row in saved)
     loaded = ((row, Episode.load(folder / row["file"])) for row in saved)
     names = dict(zip(keys := list(dict.fromkeys(_key(row) for row in saved)), labels(keys), strict=True))

@@ -30,6 +30,9 @@ from .problem import Equalities as Equalities
 from .problem import IKProblem as IKProblem
 from .problem import Level as Level
 from .problem import Rows as Rows
+from .problem_file import load_problem as load_problem
+from .problem_file import save_problem as save_problem
+from .recording import Recording as Recording
 from .live import LiveProblem as LiveProblem
 from .touch import TouchSensor as TouchSensor
 from .limits import contact_rows as contact_rows

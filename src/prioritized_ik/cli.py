@@ -62,7 +62,8 @@ def main() -> None:
 @click.option(
     "--json", "json_file", type=click.Path(dir_okay=False), help="File for the outcome and all positions, as JSON."
 )
-def solve(task_file: Path, scene: Path | None, solver: str | None, json_file: str | None) -> None:
+@click.option("--save", type=click.Path(dir_okay=False), help="Save problems and steps to this .npz file, to compare on.")
+def solve(task_file: Path, scene: Path | None, solver: str | None, json_file: str | None, save: str | None) -> None:
     """Move a robot as a task file says, and print what was reached and which level gave way.
 
     Exit codes: 0 the required levels are met at the end; 1 they are not; 2 bad usage or input.
@@ -77,8 +78,9 @@ def solve(task_file: Path, scene: Path | None, solver: str | None, json_file: st
     from prioritized_ik.reaching import Ending
     from prioritized_ik.scene.task_file import load_scene
 
-    if json_file is not None:
-        writable_file(json_file)
+    for file in (json_file, save):
+        if file is not None:
+            writable_file(file)
     loaded = load_scene(task_file, scene)
     bar = Console(stderr=True)
     with threadpool_limits(1):  # matrices this small only lose by more
@@ -96,6 +98,8 @@ def solve(task_file: Path, scene: Path | None, solver: str | None, json_file: st
         content = json.dumps(run.to_json(), indent=1, ensure_ascii=False) + "\n"
         with advising("write", json_file):
             write_whole(json_file, lambda file: file.write(content.encode("utf-8")))
+    if save is not None:
+        run.recording().save(save)
     if run.ending is not Ending.REACHED:
         raise SystemExit(DISAGREES)
 

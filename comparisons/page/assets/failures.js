@@ -21,9 +21,9 @@ function failureCards(box, failures, rankTolerance) {
   }
   if (Object.keys(files).length) {
     box.append(el("p", { class: "note" }, "A problem is a .npz file of plain arrays. To solve it with a solver of your choice:"),
-      el("pre", {}, 'import prioritized_ik as pik\nfrom comparisons.problem_file import load_problem\n\n'
+      el("pre", {}, 'import prioritized_ik as pik\n\n'
         + `options = pik.SolveOptions(rank_tolerance=${rankTolerance})\n`
-        + 'problem = load_problem("up-112.npz")\nprint(pik.solve(problem, solver="daqp", options=options).certificate)'));
+        + 'problem = pik.load_problem("up-112.npz")\nprint(pik.solve(problem, solver="daqp", options=options).certificate)'));
   }
 
   function link(one) {

@@ -14,6 +14,7 @@ from prioritized_ik.guard import Limit
 from prioritized_ik.motion import build_problem
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.reaching import Ending, ending_after, errors_of
+from prioritized_ik.recording import Recording
 from prioritized_ik.robot import Robot
 from prioritized_ik.scene.entries import AimedTask, LimitEntry, TaskEntry, placed
 from prioritized_ik.solvers.explain import Concession, explain
@@ -212,6 +213,12 @@ class SceneRun:
         if last.step.dtheta is None or last.step.certificate is None:
             return ()
         return explain(last.problem, last.step)
+
+    def recording(self) -> Recording:
+        """Return its problems and steps, to be saved, or compared by `prioritized-ik compare --recorded`."""
+        missing = np.full(self.scene.model.nv, np.nan)
+        dtheta = [missing if one.step.dtheta is None else one.step.dtheta for one in self.steps]
+        return Recording.of((one.problem for one in self.steps), self.q[:-1], np.array(dtheta), self.ending.name)
 
     def told(self) -> str:
         """Return what there is to know of it, in lines for people."""

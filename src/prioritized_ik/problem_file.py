@@ -8,7 +8,9 @@ Arrays of the file, for those who read it without this package: `format`; for ea
 """
 
 import io
+from contextlib import nullcontext
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -54,14 +56,18 @@ def save_problem(problem: IKProblem, path: str | Path) -> None:
         write_whole(path, lambda file: file.write(content))
 
 
-def load_problem(path: str | Path) -> IKProblem:
+def load_problem(path: str | Path | BinaryIO) -> IKProblem:
     """Return the problem that `save_problem` wrote, or that was downloaded from a report.
+
+    Args:
+        path: of the file, or the file, open.
 
     Raises:
         InputError: not there, not such a file, or damaged.
     """
     try:
-        with open(path, "rb") as raw, np.load(raw, allow_pickle=False) as file:
+        opened = open(path, "rb") if isinstance(path, str | Path) else nullcontext(path)
+        with opened as raw, np.load(raw, allow_pickle=False) as file:
             content = {name: file[name] for name in file.files}
         if str(content["format"]) != FORMAT:
             raise ValueError(f"its format is {str(content['format'])!r}")
