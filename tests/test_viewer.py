@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
 import urllib.request
@@ -10,9 +12,11 @@ from pathlib import Path
 import imageio_ffmpeg
 import numpy as np
 import pytest
-from PIL import Image
+from click.testing import CliRunner
+from PIL import Image, ImageSequence
 
 import prioritized_ik as pik
+from prioritized_ik.cli import main
 from prioritized_ik.errors import InputError
 from prioritized_ik.viewer import Camera, Film, View, picture
 from prioritized_ik.viewer.marks import FREE, HOLDING, MET, UNMET, marks_of
@@ -213,3 +217,34 @@ with View(robot, port=0) as view:
     refused, address = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("[")))
     assert refused == "no window opens here; expected a display, or place='page'."
     assert address.startswith("http://127.0.0.1:")
+
+
+REACH = Path(__file__).parents[1] / "examples" / "scenes" / "reach.toml"
+
+
+def test_a_scene_is_recorded_as_fast_as_it_moves_and_told_as_without(renders: None, tmp_path: Path) -> None:
+    plain = CliRunner().invoke(main, ["solve", str(REACH)])
+    filmed = CliRunner().invoke(main, ["solve", str(REACH), "--record", str(tmp_path / "reach.gif")])
+    assert filmed.exit_code == plain.exit_code == 0, filmed.output
+    assert filmed.stdout == plain.stdout
+    with Image.open(tmp_path / "reach.gif") as film:
+        shown = [frame.info["duration"] for frame in ImageSequence.Iterator(film)]
+    assert sum(shown) == 61 * 50  # [ms] 3 s, 20 frames a second, and the start; frames that are alike are one
+
+
+def test_a_viewed_scene_says_where_it_is_seen_and_stays_until_it_is_interrupted() -> None:
+    command = [sys.executable, "-u", "-c", "from prioritized_ik.cli import main; main()", "solve", str(REACH), "--view"]
+    environment = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        said = ""
+        for line in running.stderr:
+            said += line
+            if "stays until" in line:
+                break
+        address = re.search(r"^seen at (http://127.0.0.1:\d+)$", said, re.MULTILINE)[1]
+        with urllib.request.urlopen(address) as answer:
+            assert answer.status == 200
+        running.send_signal(signal.SIGINT)
+        told, _ = running.communicate()
+    assert running.returncode == 0
+    assert told.startswith("ended    REACHED")

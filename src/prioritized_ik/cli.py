@@ -63,12 +63,23 @@ def main() -> None:
     "--json", "json_file", type=click.Path(dir_okay=False), help="File for the outcome and all positions, as JSON."
 )
 @click.option("--save", type=click.Path(dir_okay=False), help="Save problems and steps to this .npz file, to compare on.")
-def solve(task_file: Path, scene: Path | None, solver: str | None, json_file: str | None, save: str | None) -> None:
+@click.option("--record", type=click.Path(dir_okay=False), help="Picture of the end (.png), or film (.gif, .webp, .mp4).")
+@click.option("--view", is_flag=True, help="Show it: in a window where there is a display, else on a page on localhost.")
+def solve(
+    task_file: Path,
+    scene: Path | None,
+    solver: str | None,
+    json_file: str | None,
+    save: str | None,
+    record: str | None,
+    view: bool,
+) -> None:
     """Move a robot as a task file says, and print what was reached and which level gave way.
 
     Exit codes: 0 the required levels are met at the end; 1 they are not; 2 bad usage or input.
     """
     import json
+    from functools import partial
 
     from rich.console import Console
     from rich.progress import track
@@ -78,14 +89,19 @@ def solve(task_file: Path, scene: Path | None, solver: str | None, json_file: st
     from prioritized_ik.reaching import Ending
     from prioritized_ik.scene.task_file import load_scene
 
-    for file in (json_file, save):
+    for file in (json_file, save, record):
         if file is not None:
             writable_file(file)
     loaded = load_scene(task_file, scene)
     bar = Console(stderr=True)
     with threadpool_limits(1):  # matrices this small only lose by more
+        taken = loaded.steps(solver)
+        if record is not None or view:
+            from prioritized_ik.viewer.show import shown
+
+            taken = shown(loaded, taken, record=record, view=view, say=partial(click.echo, err=True))
         steps = track(
-            loaded.steps(solver),
+            taken,
             task_file.name,
             loaded.step_count,
             console=bar,

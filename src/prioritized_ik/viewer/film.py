@@ -60,6 +60,7 @@ class Film:
         self._path, self._kind = Path(path), kind_of(path)
         self._robot, self._levels, self._limits = robot, grouped(levels), limits
         self._rate, self._panel, self._frames = positive("rate", rate), panel, list[Picture]()
+        self._written = False
         self._canvas = Canvas(robot.model, robot.data, *size, camera or Camera())
 
     def add(self, motion: Motion | None = None) -> None:
@@ -72,11 +73,14 @@ class Film:
         self._frames = [frame] if self._kind == STILL else [*self._frames, frame]
 
     def close(self) -> None:
-        """Write the file.
+        """Write the file; once.
 
         Raises:
             InputError: there is no frame, or the place is not writable.
         """
+        if self._written:
+            return
+        self._written = True
         self._canvas.close()
         if not self._frames:
             raise InputError(f"{self._path} has no frame; expected add() to be called before the film ends.")

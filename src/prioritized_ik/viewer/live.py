@@ -1,6 +1,7 @@
 """A motion live: in MuJoCo's own window where there is a display, in a web page on localhost otherwise."""
 
 import os
+import time
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Protocol
@@ -18,6 +19,7 @@ from prioritized_ik.viewer.panel import Line, lines_of
 PLACES = ("window", "page")
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 PORT = 8080
+PAUSE = 0.05  # [s] between looks whether a view is still open
 
 
 class Screen(Protocol):
@@ -87,6 +89,14 @@ class View:
         holding = {name for line in lines for name in line.holding}
         tasks = [task for tasks in self._levels for task in tasks]
         self._screen.show(self._robot, marks_of(self._robot, tasks, self._limits, holding), lines)
+
+    def wait(self) -> None:
+        """Return once the window is closed, or on Ctrl-C."""
+        try:
+            while self.is_open:
+                time.sleep(PAUSE)
+        except KeyboardInterrupt:
+            return
 
     def close(self) -> None:
         """Close the window, or the page's server."""

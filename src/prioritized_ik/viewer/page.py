@@ -1,7 +1,9 @@
 """A web page on localhost, by viser and mjviser."""
 
 import copy
+import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from html import escape
 
 import mjviser
@@ -22,7 +24,8 @@ class Page:
     """The robot, marks and panel in whatever browser looks at `address`; only this machine can."""
 
     def __init__(self, robot: Robot, port: int) -> None:
-        self._server = viser.ViserServer(host="127.0.0.1", port=port, label="prioritized_ik", verbose=False)
+        with redirect_stdout(sys.stderr):  # what viser says of itself is no output of ours
+            self._server = viser.ViserServer(host="127.0.0.1", port=port, label="prioritized_ik", verbose=False)
         self.address = f"http://127.0.0.1:{self._server.get_port()}"
         self._scene = mjviser.ViserMujocoScene(self._server, copy.deepcopy(robot.model), num_envs=1)
         self._scene.camera_tracking_enabled = False
@@ -45,7 +48,8 @@ class Page:
     def close(self) -> None:
         """End the page's server."""
         self.is_open = False
-        self._server.stop()
+        with redirect_stdout(sys.stderr):
+            self._server.stop()
 
     def _draw(self, marks: Sequence[Mark]) -> None:
         """Move the marks of the state before where they serve again, as a new one takes a while to be seen."""
