@@ -304,6 +304,29 @@ def test_contact_rows_against_an_object_that_moves_are_the_gradient_too() -> Non
     assert np.abs(rows.matrix[:, -1]).min() > 0.1
 
 
+def test_contact_rows_of_several_objects_join_without_clashing_names() -> None:
+    spec = Arm(links=3).spec()
+    for name, height in (("pole", 0.1), ("ball", -0.1)):
+        spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05] * 3, pos=[0.09, 0.0, height])
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.05] * 3, pos=[0.2, 0.0, 0.1])
+    model = spec.compile()
+    data, links = mujoco.MjData(model), ["link_1", "link_2", "link_3"]
+    sensors = [TouchSensor(model, links, wound) for wound in ("pole", "ball", 2)]
+    update_kinematics(model, data, np.full(model.nv, 0.1))
+    parts = [contact_rows(sensor, data, sensor.read(data), margin=1.0) for sensor in sensors]
+    rows = Rows.joined(parts, model.nv)
+    assert len(set(rows.names)) == len(rows.upper) == 9
+    assert rows.names[::4] == (
+        "contact of link 1 with pole",
+        "contact of link 2 with ball",
+        "contact of link 3 with geom 2",
+    )
+    for place, part in enumerate(parts):
+        assert np.array_equal(rows.matrix[3 * place : 3 * place + 3], part.matrix)
+        assert np.array_equal(rows.upper[3 * place : 3 * place + 3], part.upper)
+    assert Rows.joined([], model.nv).matrix.shape == (0, model.nv)
+
+
 def test_joints_of_several_degrees_of_freedom_are_numbered() -> None:
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name="base")

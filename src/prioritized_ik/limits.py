@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Rows, trusted
-from prioritized_ik.touch import Touch, TouchSensor
+from prioritized_ik.touch import OBJECT, Touch, TouchSensor
 from prioritized_ik.validation import Array, finite_array, gain_of, non_negative, positive
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -95,9 +95,9 @@ def step_bounds(model: mujoco.MjModel, max_step: float) -> Bounds:
     return Bounds(-limit, limit, joint_names(model))
 
 
-def contact_row_name(link: int) -> str:
-    """Return what the contact row of `link` (from 1) is called."""
-    return f"contact of link {link}"
+def contact_row_name(link: int, wound: str = OBJECT) -> str:
+    """Return what the contact row of `link` (from 1) with the object `wound` is called; the rows of several differ."""
+    return f"contact of link {link}" + (f" with {wound}" if wound != OBJECT else "")
 
 
 def contact_rows(
@@ -133,5 +133,5 @@ def contact_rows(
         gradients -= sensor.jacobians.at(data, opposite, np.full(near.size, len(touch.distance)))
     matrix = (-normal[:, None, :] @ gradients)[:, 0]
     upper = gain * np.maximum(distance - min_distance, 0.0)
-    names = tuple(contact_row_name(link + 1) for link in near.tolist())
+    names = tuple(contact_row_name(link + 1, sensor.object_name) for link in near.tolist())
     return trusted(Rows, matrix=matrix, upper=upper, names=names)

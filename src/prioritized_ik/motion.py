@@ -73,7 +73,7 @@ def build_problem(
     return IKProblem(
         [*recovery, *_task_levels(robot, groups, non_negative("damping", damping))],
         bounds,
-        _stacked([guard.rows for guard in guards if guard.rows is not None], robot.model.nv),
+        Rows.joined([guard.rows for guard in guards if guard.rows is not None], robot.model.nv),
         metric=robot.metric,
     )
 
@@ -156,17 +156,7 @@ def _directions(rows: Array) -> tuple[Array, Array]:
 
 def _joined_recovery(guards: Sequence[Guarded]) -> list[Rows]:
     rows = [rows for guard in guards for rows in guard.recovery]
-    return [_stacked(rows, rows[0].matrix.shape[1])] if rows else []
-
-
-def _stacked(parts: Sequence[Rows], m: int) -> Rows:
-    if not parts:
-        return Rows.none(m)
-    return Rows(
-        np.vstack([part.matrix for part in parts]),
-        np.concatenate([part.upper for part in parts]),
-        [name for part in parts for name in part.names],
-    )
+    return [Rows.joined(rows, rows[0].matrix.shape[1])] if rows else []
 
 
 def _limit(limit: Limit) -> Limit:

@@ -186,6 +186,17 @@ class Rows:
         """Return no row on `m` joints."""
         return Rows(np.zeros((0, m)), np.zeros(0))
 
+    @staticmethod
+    def joined(parts: Sequence["Rows"], m: int) -> "Rows":
+        """Return the rows of all `parts` on `m` joints, in their order."""
+        if not parts:
+            return Rows.none(m)
+        return Rows(
+            np.vstack([part.matrix for part in parts]),
+            np.concatenate([part.upper for part in parts]),
+            [name for part in parts for name in part.names],
+        )
+
 
 @dataclass(frozen=True, init=False, eq=False)
 class Equalities:

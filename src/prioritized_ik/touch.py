@@ -16,6 +16,7 @@ from prioritized_ik.validation import Array, positive
 from prioritized_ik.virtual_arms import object_id
 
 REACH = 10.0  # [m]
+OBJECT = "object"  # what a winding's object is called
 _CAPSULE, _SPHERE = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_SPHERE)
 
 
@@ -39,8 +40,8 @@ class TouchSensor:
 
     Args:
         model: the MuJoCo model.
-        link_geoms: one geom a link, base first.
-        object_geom: the object's geom: any convex shape MuJoCo knows.
+        link_geoms: one geom a link, base first, by name or number.
+        object_geom: the object's geom, by name or number: any convex shape MuJoCo knows.
         reach: beyond this a link counts as this far away [m].
 
     Raises:
@@ -50,6 +51,7 @@ class TouchSensor:
     Attributes:
         model: the MuJoCo model.
         links, object: numbers of the geoms.
+        object_name: what the object's geom is called; contact rows are named by it.
         half_lengths: of the links' cores `(n,)` [m].
         reach: see above.
         jacobians: of points on the links, base first, then of points on the object.
@@ -57,12 +59,18 @@ class TouchSensor:
     """
 
     def __init__(
-        self, model: mujoco.MjModel, link_geoms: Sequence[str], object_geom: str = "object", *, reach: float = REACH
+        self,
+        model: mujoco.MjModel,
+        link_geoms: Sequence[str | int],
+        object_geom: str | int = OBJECT,
+        *,
+        reach: float = REACH,
     ) -> None:
         self.model = model
         self.reach = positive("reach", reach)
         self.links = np.array([object_id(model, "geom", name) for name in link_geoms], dtype=int)
         self.object = object_id(model, "geom", object_geom)
+        self.object_name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, self.object) or f"geom {self.object}"
         for name, geom in zip(link_geoms, self.links, strict=True):
             if model.geom_type[geom] not in (_CAPSULE, _SPHERE):
                 kind = mujoco.mjtGeom(model.geom_type[geom]).name

@@ -24,26 +24,29 @@ class EndPoint:
 
     Attributes:
         kind: `"site"`, `"body"` or `"geom"`.
-        name: its name in the model.
+        name: its name in the model, or its number: most geoms have no name.
         offset: the point in the frame of that site, body or geom [m].
     """
 
     kind: str
-    name: str
+    name: str | int
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def object_id(model: mujoco.MjModel, kind: str, name: str) -> int:
-    """Return the id of the `kind` ("site", "body" or "geom") called `name`.
+def object_id(model: mujoco.MjModel, kind: str, name: str | int) -> int:
+    """Return the id of the `kind` ("site", "body" or "geom") called `name`, or of that number.
 
     Raises:
         ModelError: there is none; the message lists what there is.
     """
     if kind not in _OBJECT_TYPES:
         raise ModelError(f"unknown kind of end point {kind!r}; choose one of: {', '.join(_OBJECT_TYPES)}.")
-    found = mujoco.mj_name2id(model, _OBJECT_TYPES[kind], name)
+    count = {"site": model.nsite, "body": model.nbody, "geom": model.ngeom}[kind]
+    if isinstance(name, int | np.integer):
+        found = int(name) if 0 <= name < count else -1
+    else:
+        found = mujoco.mj_name2id(model, _OBJECT_TYPES[kind], name)
     if found < 0:
-        count = {"site": model.nsite, "body": model.nbody, "geom": model.ngeom}[kind]
         names = [mujoco.mj_id2name(model, _OBJECT_TYPES[kind], i) for i in range(count)]
         known = ", ".join(n for n in names if n) or "none"
         raise ModelError(f"the model has no {kind} called {name!r}; its {kind}s: {known}.")
