@@ -21,10 +21,10 @@ What runs compiled, and what is left to the Python form:
 | `equal` levels, weights, any number | yes |
 | bounds, frozen joints, inequality rows, equalities | yes |
 | reference, metric (diagonal or matrix) | yes |
+| levels of soft inequalities (`at_most`, `soften`) | yes |
 | damping, `"free"` or `"hold"` | yes |
 | rank tolerance | yes, unless a singular value stands at the cut |
 | start from the last step's rows, or from any solver's guess | yes |
-| levels of soft inequalities (`at_most`, `soften`) | no |
 | `noise` above the default | no |
 | equalities that nearly depend on each other, or are rounding | no |
 | conflicts: which rows contradict each other | no |

@@ -18,7 +18,7 @@ class ActiveSet : public Written {
 
     uint64_t digest() const {
         uint64_t hash = 1469598103934665603ull;
-        for (int i = 0; i < all_; i++) hash = (hash ^ active_[i]) * 1099511628211ull;
+        for (int i = 0; i < all_; i++) hash = (hash ^ (active_[i] + 2 * exceeded_[i])) * 1099511628211ull;
         return hash;
     }
     bool is_visited() const { return std::find(visited_.begin(), visited_.end(), digest()) != visited_.end(); }
@@ -28,7 +28,7 @@ class ActiveSet : public Written {
     bool search() {
         Scope scope(arena_);
         int* ids = arena_.array<int>(all_);
-        uint8_t* proven = arena_.array<uint8_t>(all_);  // the active rows at the last proof, and the slacks there
+        uint8_t* proven = arena_.array<uint8_t>(2 * all_);  // active and exceeded rows at the last proof, and the slacks there
         double* proven_slack = arena_.doubles(all_);
         size_t next = 0;
         visited_.clear();
@@ -37,8 +37,11 @@ class ActiveSet : public Written {
         auto dropped = [&] {
             for (; next < wrong_.size(); next++) {
                 std::memcpy(active_, proven, all_);
+                const bool other = std::memcmp(exceeded_, proven + all_, all_) != 0;
+                std::memcpy(exceeded_, proven + all_, all_);
                 active_[wrong_[next]] = 0;
                 if (!is_visited()) {
+                    if (other) refactor();
                     copy(proven_slack, slack_, all_);
                     return true;
                 }
@@ -52,6 +55,10 @@ class ActiveSet : public Written {
             if (!(size_ < INFINITE)) return false;
             io.lists[CORRECTIONS] = iteration;
             if (advance()) {
+                if (is_visited() && !dropped()) return false;
+                continue;
+            }
+            if (soft_ && sort_soft()) {
                 if (is_visited() && !dropped()) return false;
                 continue;
             }
@@ -72,6 +79,7 @@ class ActiveSet : public Written {
                 return true;
             }
             std::memcpy(proven, active_, all_);
+            std::memcpy(proven + all_, exceeded_, all_);
             copy(slack_, proven_slack, all_);
             next = 0;
             if (!dropped()) return false;
@@ -84,7 +92,7 @@ class ActiveSet : public Written {
         double first = INFINITE;
         const double kept = tol_.KEPT * scale_;
         for (int i = 0; i < all_; i++)
-            if (!active_[i] && reach_[i] < -kept) {
+            if (blocks(i, kept)) {
                 const double rate = slack_[i] - reach_[i];
                 first = min(first, rate > 0.0 ? max(slack_[i], 0.0) / rate : 0.0);
             }
@@ -93,7 +101,7 @@ class ActiveSet : public Written {
             return false;
         }
         for (int i = 0; i < all_; i++) {
-            if (!active_[i] && reach_[i] < -kept) {
+            if (blocks(i, kept)) {
                 const double rate = slack_[i] - reach_[i];
                 if ((rate > 0.0 ? max(slack_[i], 0.0) / rate : 0.0) <= first) active_[i] = 1;
             }
@@ -102,18 +110,44 @@ class ActiveSet : public Written {
         return true;
     }
 
-    bool is_near(int i) const { return reach_[i] <= tol_.CERTIFIED * scale_; }
+    bool blocks(int i, double kept) const { return !active_[i] && !exceeded_[i] && reach_[i] < -kept; }
+
+    bool is_exceeded(int i) const { return i >= hard_ && reach_[i] < -tol_.CERTIFIED * scale_; }
+    bool is_near(int i) const { return reach_[i] <= tol_.CERTIFIED * scale_ && !is_exceeded(i); }
+
+    // Tells rows of soft levels that cannot be kept from those that are tight; returns whether some were not where they belong.
+    bool sort_soft() {
+        bool moved = false;
+        for (int i = hard_; i < all_; i++) {
+            if (exceeded_[i] ? is_exceeded(i) : !(active_[i] && is_exceeded(i))) continue;
+            exceeded_[i] = is_exceeded(i);
+            active_[i] = is_near(i);
+            moved = true;
+        }
+        if (moved) refactor();
+        return moved;
+    }
+
+    void sort_all_soft() {
+        bool moved = false;
+        for (int i = hard_; i < all_; i++) {
+            moved = moved || exceeded_[i] != is_exceeded(i);
+            exceeded_[i] = is_exceeded(i);
+        }
+        if (moved) refactor();
+    }
 
     // The step of exactly the rows that it ends on, so that all guesses that lead there lead to the same bits; proven anew.
     void settle(int* ids) {
         constexpr int TRIES = 3;
         for (int again = 0; again < TRIES; again++) {
             for (int i = 0; i < all_; i++) active_[i] = is_near(i);
+            if (soft_) sort_all_soft();
             const int t = listed(ids);
             face(ids, t);
             measure();
             bool same = true;
-            for (int i = 0; i < all_; i++) same = same && active_[i] == is_near(i);
+            for (int i = 0; i < all_; i++) same = same && active_[i] == is_near(i) && exceeded_[i] == is_exceeded(i);
             if (!same) continue;
             if (!prove(ids, t)) throw Declined{UNPROVEN};
             conclude(ids, t);

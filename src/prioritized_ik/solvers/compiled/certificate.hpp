@@ -21,14 +21,16 @@ class Certified : public Face {
         Multipliers own(*this, ids, t);
         wrong_.clear();
         blur_ = off_ = above_ = 0.0;
-        for (int l = 0; l < now_.levels; l++)
+        for (int l = 0; l <= now_.levels; l++) {
+            while (own.known < t && level_of_[ids[own.known]] < l) own.known++;
             if (!prove_level(own, l)) return false;
-        return prove_level(own, now_.levels);
+        }
+        return true;
     }
 
     // What all levels of one proof share.
     struct Multipliers {
-        int t;
+        int t, known = 0;    // known: of them, those that may hold the level at hand, hard ones and of soft levels above
         const int* ids;
         const double** row;  // the rows in x
         double* leak;        // how far a row can move that a level above holds; infinite for the others
@@ -123,7 +125,7 @@ class Certified : public Face {
         const double steep = norm(g.values, r);
         if (steep > tol_.ROUNDING * g.terms) {
             for (int pass = 0; pass < 2; pass++)
-                for (int i = 0; i < own.t; i++) {
+                for (int i = 0; i < own.known; i++) {
                     const double *row = own.row[i], moves = norm(row + c, v);
                     if ((own.leak[i] < INFINITE) != (pass == 0)) continue;
                     if (may_be_settled(moves, settled_)) doubt_ = true;
@@ -197,7 +199,7 @@ class Certified : public Face {
         const double drawn = off_ * (1.0 + follows), carried_over = max(above_, drawn);
         above_ = max(above_, max(explained, apart));
         off_ = drawn + (excess > tol_.OFF * scale_ ? excess : 0.0);
-        const double demand = max(last ? g.size : block->demand, max(sqrt(g.cost), tol_.LEAST_DEMAND * g.size));
+        const double demand = max(last ? g.size : max(block->demand, block->asked), max(sqrt(g.cost), tol_.LEAST_DEMAND * g.size));
         double* figures = io.figures.data() + size_t(l) * FIGURES;
         const double moved = g.strength * carried_over;
         figures[LEVEL_GAP] = gap + g.steepness * carried_over + moved * moved;

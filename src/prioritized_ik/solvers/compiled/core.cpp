@@ -63,6 +63,7 @@ EXPORTED void core_arrays(Step* step, void** at) {
                         &io.equality_matrix, &io.equality_target, &io.metric_root, &io.reference, &io.settings})
         *at++ = array->data();
     *at++ = io.ends.data();
+    *at++ = io.soft.data();
     *at++ = io.guess.data();
     for (auto* array : {&io.dtheta, &io.figures, &io.multipliers}) *at++ = array->data();
     *at++ = io.lists.data();

@@ -45,7 +45,7 @@ struct Sizes {
     int joints, levels, level_rows, rows, equalities;
 };
 
-enum Count { CORRECTIONS, FACES, PROOFS, ACTIVE, TIGHT, ZERO, HOLDING, COUNTS };  // the first of the lists
+enum Count { CORRECTIONS, FACES, PROOFS, ACTIVE, EXCEEDED, TIGHT, ZERO, HOLDING, COUNTS };  // the first of the lists
 enum Figure { LEVEL_GAP, RELATIVE_GAP, STATIONARITY, ROUNDING, FIGURES };           // of a level
 
 // What the caller writes and reads; arrays of rows have `stride` doubles a row, zeros beyond the joints.
@@ -55,17 +55,19 @@ struct Exchange {
     std::vector<double> lower, upper, row_matrix, row_upper, equality_matrix, equality_target, metric_root, reference;
     std::vector<double> settings;  // rank tolerance, noise
     std::vector<int32_t> ends;     // of the levels' rows
-    std::vector<uint8_t> guess;    // upper bounds, lower bounds, rows
+    std::vector<uint8_t> soft;     // whether a level is one of soft inequalities
+    std::vector<uint8_t> guess;    // upper bounds, lower bounds, rows, rows of soft levels: 1 tight, 2 exceeded
     // out
     std::vector<double> dtheta;
     std::vector<double> figures;      // a level: gap, relative gap, stationarity, rounding; then violation, scale, costs
     std::vector<double> multipliers;  // in the order of the list that names them
-    // First counts: corrections, faces, proofs, and the lengths of the lists that follow. Numbers of the hard rows that the step was computed from, and of those it ends on; of rows that are rounding, the levels' first;
-    // of the rows that hold a level, each after its level's number. Upper bounds come first, then lower bounds, then rows.
+    // First counts: corrections, faces, proofs, and the lengths of the lists that follow. Numbers of the rows that the step was
+    // computed from, tight or exceeded, and of the hard rows it ends on; of rows that are rounding, the levels' first; of the
+    // rows that hold a level, each after its level's number. Upper bounds come first, then lower bounds, rows, soft levels.
     std::vector<int32_t> lists;
 
     Exchange(const Sizes& most, size_t stride) {
-        const size_t m = most.joints, all = 2 * m + most.rows, levels = most.levels;
+        const size_t m = most.joints, all = 2 * m + most.rows + most.level_rows, levels = most.levels;
         matrix.resize(most.level_rows * stride);
         for (auto* array : {&target, &weights}) array->resize(most.level_rows);
         damping.resize(levels);
@@ -76,6 +78,7 @@ struct Exchange {
         equality_target.resize(most.equalities);
         settings.resize(2);
         ends.resize(levels);
+        soft.resize(levels);
         guess.resize(all);
         dtheta.resize(stride);
         figures.resize(FIGURES * (levels + 1) + 2 + levels);

@@ -25,6 +25,14 @@ class Face : public Factored {
         broken_ = broken_at_start();
     }
 
+    // Once other rows of soft levels are exceeded.
+    void refactor() {
+        factor();
+        std::memset(is_carried_, 0, all_);
+        std::memset(has_drift_, 0, all_);
+        std::memset(in_doubt_, 0, all_);
+    }
+
     const double* carried(int i) const { return carried_ + size_t(i) * stride; }
 
     // Carries hard rows into x, without what is too little of them to count, which is their drift.
@@ -54,7 +62,7 @@ class Face : public Factored {
         double* drift = drift_ + size_t(i) * stride;
         for (int l = 0; l < now_.levels; l++) {
             const int c = levels_[l].end();
-            if (c == m_) continue;
+            if (c == m_ || levels_[l].is_soft) continue;
             const double moves = norm(row + c, m_ - c);
             if (moves <= levels_[l].settled) {
                 if (!has_drift_[i]) clear(drift, stride);
@@ -81,7 +89,7 @@ class Face : public Factored {
             drifting = drifting || has_drift_[ids[i]];
             doubt_ = doubt_ || in_doubt_[ids[i]];
         }
-        hold(rows, sides, t);
+        hold(ids, rows, sides, t);
         if (drifting) {
             double worst = 0.0;
             for (int i = 0; i < t; i++) {
@@ -90,15 +98,19 @@ class Face : public Factored {
                 sides[i] = side_[ids[i]] - moved;
                 worst = max(worst, abs(moved));
             }
-            if (worst > tol_.DRIFT * norm(x_, m_)) hold(rows, sides, t);
+            if (worst > tol_.DRIFT * norm(x_, m_)) hold(ids, rows, sides, t);
         }
         out_of(x_, u_);
         for (int j = 0, e = 0; e < frozen_; j++)
             if (io.lower[j] == io.upper[j]) u_[j] = equal_side_[e++];
     }
 
-    void hold(double* rows, double* sides, int t) {
+    // Rows of soft levels come after the hard ones, level by level, and are held from the level below theirs on.
+    void hold(const int* ids, double* rows, double* sides, int all) {
         Scope scope(arena_);
+        int t = 0;
+        while (t < all && ids[t] < hard_) t++;
+        int next = t;
         double* y = arena_.doubles(stride);
         copy(begin_, x_, stride);
         for (int l = 0; l < now_.levels; l++) {
@@ -114,6 +126,10 @@ class Face : public Factored {
             }
             block.R.solve(y);
             copy(y, x_ + c, r);
+            for (; next < all && level_of_[ids[next]] == l; next++, t++) {
+                copy(rows + size_t(next) * stride, rows + size_t(t) * stride, t < next ? stride : 0);
+                sides[t] = sides[next];
+            }
         }
         const int c = rest_;
         if (has_reference_) {
@@ -247,8 +263,8 @@ class Face : public Factored {
             slack[j] = side_[j] - u[j];
             slack[m_ + j] = side_[m_ + j] + u[j];
         }
-        for (int i = 0; i < now_.rows; i++) {
-            const int k = 2 * m_ + i;
+        for (int k = 2 * m_; k < all_; k++) {
+            const int i = k - 2 * m_;
             slack[k] = side_[k] < INFINITE ? side_[k] - dot(normal_ + size_t(i) * stride, u, stride) : INFINITE;
         }
     }
@@ -256,8 +272,10 @@ class Face : public Factored {
     // Slacks at u_, the worst of them, and what figures of u_ are relative to, see Hierarchy.scale.
     void measure() {
         slacks(u_, reach_);
-        worst_ = INFINITE;
-        for (int i = 0; i < all_; i++) worst_ = min(worst_, reach_[i]);
+        worst_hard_ = INFINITE;
+        for (int i = 0; i < hard_; i++) worst_hard_ = min(worst_hard_, reach_[i]);
+        worst_ = worst_hard_;
+        for (int i = hard_; i < all_; i++) worst_ = min(worst_, reach_[i]);
         size_ = norm(u_, m_);
         scale_ = size_;
         if (size_ > tol_.FLOOR * max(closed_form_ < 0.0 ? longest_ : closed_form_, broken_) && size_ > 0.0) return;
@@ -293,7 +311,7 @@ class Face : public Factored {
     }
 
     double *u_ = nullptr, *x_ = nullptr, *reach_ = nullptr, *slack_ = nullptr, *start_ = nullptr;
-    double closed_form_ = 0.0, broken_ = 0.0, worst_ = 0.0, size_ = 0.0, scale_ = 0.0;
+    double closed_form_ = 0.0, broken_ = 0.0, worst_ = 0.0, worst_hard_ = 0.0, size_ = 0.0, scale_ = 0.0;
     bool doubt_ = false;
 
   private:

@@ -11,18 +11,24 @@
 namespace prioritized_ik {
 
 class Factored : public Posed {
+  public:
+    Factored(const Sizes& sizes, const Tolerances& tolerances) : Posed(sizes, tolerances), factors_(arena_size(sizes)) {}
+
   protected:
-    using Posed::Posed;
 
     void factor() {
-        double* work = arena_.doubles(size_t(rows_) * stride);
-        double** row = arena_.array<double*>(rows_);
+        factors_.back_to(0);
+        take_exceeded();
+        rows_ = equalities_;
+        for (int l = 0; l < now_.levels; l++) rows_ += levels_[l].n;
+        double* work = factors_.doubles(size_t(rows_) * stride);
+        double** row = factors_.array<double*>(rows_);
         for (int i = 0; i < rows_; i++) row[i] = work + size_t(i) * stride;
         const int most = 2 * m_ + 1;
-        chain_.reset(arena_.doubles(size_t(most) * stride), most, stride);
-        place_ = arena_.array<int>(m_);
+        chain_.reset(factors_.doubles(size_t(most) * stride), most, stride);
+        place_ = factors_.array<int>(m_);
         for (int j = 0; j < m_; j++) place_[j] = j;
-        begin_ = arena_.zeros(stride);
+        begin_ = factors_.zeros(stride);
 
         // Rows of unit length where only rounding is cut, as given where the rank tolerance cuts, as in level_decomposition.
         int at = equalities_;
@@ -30,7 +36,7 @@ class Factored : public Posed {
             Block& block = levels_[l];
             for (int i = 0; i < block.n; i++, at++) {
                 copy(block.row[i], row[at], stride);
-                if (rank_tolerance_ == 0.0) {
+                if (block.rank_tolerance == 0.0) {
                     const double scale = 1.0 / block.length[i];
                     for (int j = 0; j < stride; j++) row[at][j] *= scale;
                 }
@@ -60,7 +66,7 @@ class Factored : public Posed {
     int factor_equalities(double** row) {
         const int n = equalities_;
         if (!n) return 0;
-        int* ids = arena_.array<int>(n);
+        int* ids = factors_.array<int>(n);
         for (int i = 0; i < n; i++) {
             ids[i] = i;
             copy(equal_ + size_t(i) * stride, row[i], stride);
@@ -102,7 +108,7 @@ class Factored : public Posed {
         const int c = block.start, n = block.n;
         double top = 0.0, frobenius = 0.0, left = 0.0;
         for (int i = 0; i < n; i++) {
-            const double size = rank_tolerance_ == 0.0 ? 1.0 : block.length[i], square = size * size;
+            const double size = block.rank_tolerance == 0.0 ? 1.0 : block.length[i], square = size * size;
             top = max(top, square);
             frobenius += square;
         }
@@ -112,9 +118,9 @@ class Factored : public Posed {
         const int before = r;
         r = cut(block, row, all, r, top, frobenius, settled);
         block.rank = r;
-        block.is_cut = r < before && rank_tolerance_ > 0.0;
+        block.is_cut = r < before && block.rank_tolerance > 0.0;
         // How far rounding may have turned the directions below; `weakest` is a bound from below.
-        block.blur = r ? tol_.PROJECTION * tol_.EPS / block.weakest : 0.0;
+        block.blur = r && !block.is_soft ? tol_.PROJECTION * tol_.EPS / block.weakest : 0.0;
         block.settled = max(settled, block.blur);
         whiten(block, row, n == r && before == r);
     }
@@ -122,8 +128,8 @@ class Factored : public Posed {
     // Cuts a level's r coordinates to its rank; `weakest` becomes what the weakest one kept measures at least.
     int cut(Block& block, double** row, int all, int r, double top, double frobenius, double settled) {
         const int c = block.start, n = block.n;
-        const bool rounding = rank_tolerance_ == 0.0;
-        const double limit = rounding ? max(noise_, settled) : max(rank_tolerance_, noise_);
+        const bool rounding = block.rank_tolerance == 0.0;
+        const double limit = rounding ? max(noise_, settled) : max(block.rank_tolerance, noise_);
         bool triangle = true;
         while (r > 0) {
             if (triangle) {
@@ -190,12 +196,12 @@ class Factored : public Posed {
     // W^1/2 A in the level's coordinates becomes Q R; the same Q for what the levels above decide, and for the target.
     void whiten(Block& block, double* const* row, bool square) {
         const int c = block.start, r = block.rank, n = block.n, s = padded(max(n, 1)), k = r + c + 1;
-        double* columns = arena_.zeros(size_t(k) * s);
-        double* factor = arena_.doubles(n);
+        double* columns = factors_.zeros(size_t(k) * s);
+        double* factor = factors_.doubles(n);
         block.demand = 0.0;
         for (int i = 0; i < n; i++) {
             const int id = block.order[i];
-            factor[i] = block.root[id] * (rank_tolerance_ == 0.0 ? block.length[id] : 1.0);
+            factor[i] = block.root[id] * (block.rank_tolerance == 0.0 ? block.length[id] : 1.0);
             const double side = block.root[id] * block.side[id];
             block.demand += side * side;
         }
@@ -203,7 +209,7 @@ class Factored : public Posed {
         block.R = Triangle{columns, s, r};
         block.above = columns + size_t(r) * s;
         block.reflectors = nullptr;
-        int* turned = arena_.array<int>(r);
+        int* turned = factors_.array<int>(r);
         if (square) {  // every row is reached: a lower triangle, read from its end, is an upper one
             for (int i = 0; i < n; i++) {
                 const int back = n - 1 - i;
@@ -219,13 +225,13 @@ class Factored : public Posed {
                 for (int j = 0; j < c; j++) block.above[size_t(j) * s + i] = factor[i] * row[i][place_[j]];
                 block.target()[i] = block.root[block.order[i]] * block.side[block.order[i]];
             }
-            block.reflectors = arena_.doubles(size_t(r) * s);
-            block.taus = arena_.doubles(r);
-            column_qr(columns, s, k, r, n, turned, true, arena_, block.reflectors, block.taus);
+            block.reflectors = factors_.doubles(size_t(r) * s);
+            block.taus = factors_.doubles(r);
+            column_qr(columns, s, k, r, n, turned, true, factors_, block.reflectors, block.taus);
         }
         for (int j = 0; j < r; j++) place_[c + j] = c + turned[j];
-        block.inverse = arena_.doubles(size_t(r) * s);
-        block.sizes = arena_.doubles(r);
+        block.inverse = factors_.doubles(size_t(r) * s);
+        block.sizes = factors_.doubles(r);
         block.R.invert(block.inverse);
         block.shortest = INFINITE;
         block.longest = 0.0;
@@ -268,6 +274,7 @@ class Factored : public Posed {
                moves < min(settled * tol_.NEARLY, settled + 2.0 * turned_);
     }
 
+    Arena factors_;
     Reflectors chain_;
     int rest_ = 0, *place_ = nullptr;
     double lowest_ = 0.0, settled_ = 0.0, turned_ = 0.0, longest_ = 0.0, *begin_ = nullptr;

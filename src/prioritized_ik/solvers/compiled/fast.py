@@ -1,6 +1,6 @@
 """From a problem to the joint step of the compiled core, or to None where it declines."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -8,12 +8,22 @@ from prioritized_ik.late import Late
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.certificate import Certificate
 from prioritized_ik.solvers.compiled.library import Ending, Question, library
-from prioritized_ik.solvers.compiled.workspace import ACTIVE, COUNTS, FIGURES, HOLDING, Sizes, Workspace, workspace_for
+from prioritized_ik.solvers.compiled.workspace import (
+    ACTIVE,
+    COUNTS,
+    EXCEEDED,
+    FIGURES,
+    HOLDING,
+    Sizes,
+    Workspace,
+    workspace_for,
+)
 from prioritized_ik.solvers.report import DeferredReports
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.tolerances import NOISE
 from prioritized_ik.validation import Array
 
+TIGHT, NOT_KEPT = 1, 2  # of a guessed row
 FEW = 64  # counts and lists of most steps, read at once
 
 _STATUS: dict[int, StepStatus] = {Ending.CLOSED_FORM: StepStatus.CLOSED_FORM, Ending.SOLVED: StepStatus.SOLVED}
@@ -21,20 +31,19 @@ _STATUS: dict[int, StepStatus] = {Ending.CLOSED_FORM: StepStatus.CLOSED_FORM, En
 
 def answers(problem: IKProblem) -> bool:
     """Whether the core takes problems of this kind, see the table in `compiled/__init__.py`."""
-    if library().core is None or problem.noise != NOISE or not len(problem.reference):
-        return False
-    return all([level.kind == "equal" for level in problem.levels])
+    return library().core is not None and problem.noise == NOISE and len(problem.reference) > 0
 
 
 class Remembered(NamedTuple):
-    """Rows by their numbers among `names`."""
+    """Rows by their numbers among `names`; those `exceeded` are of soft levels."""
 
     names: tuple[str, ...]
     numbers: list[int]
+    exceeded: list[int]
 
     def named(self) -> tuple[str, ...]:
         """Return the names of the rows."""
-        return tuple([self.names[number] for number in self.numbers])
+        return tuple([self.names[number] for number in sorted(self.numbers + self.exceeded)])
 
 
 class CompiledStep(JointStep):
@@ -82,7 +91,9 @@ class Written(NamedTuple):
 
     def active(self) -> Remembered:
         """Return the rows that the step was computed from."""
-        return Remembered(self.names, self.lists[COUNTS : COUNTS + self.lists[ACTIVE]])
+        exceeded = COUNTS + self.lists[ACTIVE]
+        end = exceeded + self.lists[EXCEEDED]
+        return Remembered(self.names, self.lists[COUNTS:exceeded], self.lists[exceeded:end])
 
 
 def compiled_step(
@@ -105,9 +116,7 @@ def compiled_step(
     workspace = workspace_for(sizes)
     workspace.fill(flat, sizes, rank_tolerance)
     workspace.name(flat)
-    workspace.guess[:] = False
-    for number in _numbers(rows, workspace):
-        workspace.guess[number] = True
+    _guess(rows, workspace)
     status = _STATUS.get(workspace.solve(sizes, question))
     if status is None:
         return None
@@ -130,14 +139,22 @@ def compiled_step(
     return step
 
 
-def _numbers(rows: Collection[str] | Remembered, workspace: Workspace) -> Iterable[int]:
-    """Return the numbers of rows in this problem, those that it does not have left out."""
+def _guess(rows: Collection[str] | Remembered, workspace: Workspace) -> None:
+    """Write which rows the step may rest on, those that the problem does not have left out."""
+    guess = workspace.guess
+    guess[:] = 0
     if isinstance(rows, Remembered):
         if rows.names is workspace.names:
-            return rows.numbers
+            for number in rows.numbers:
+                guess[number] = TIGHT
+            for number in rows.exceeded:
+                guess[number] = NOT_KEPT
+            return
         rows = rows.named()
     known = workspace.numbers
-    return [known[name] for name in rows if name in known]
+    for name in rows:
+        if name in known:
+            guess[known[name]] = TIGHT
 
 
 def _fields(written: Written) -> dict[str, Any]:
@@ -145,9 +162,9 @@ def _fields(written: Written) -> dict[str, Any]:
     problem, rank_tolerance, dtheta, values, lists, names = written
     levels = len(problem.levels)
     end, figures = FIGURES * (levels + 1), values.tolist()
-    corrections, _, _, active, tight, zero, holding = lists[:COUNTS]
-    active += COUNTS
-    tight += active
+    corrections, _, _, active, exceeded, tight, zero, holding = lists[:COUNTS]
+    exceeded += active + COUNTS
+    tight += exceeded
     zero += tight
     held: list[tuple[str, ...]] = [()] * (levels + 1)
     for place in range(zero, zero + 2 * holding, 2):
@@ -162,13 +179,13 @@ def _fields(written: Written) -> dict[str, Any]:
     )
     return {
         "costs": tuple(figures[end + 2 :]),
-        "tight_rows": tuple([names[i] for i in lists[active:tight]]),
+        "tight_rows": tuple([names[i] for i in lists[exceeded:tight]]),
         "violation": figures[end],
         "certificate": certificate,
         "repairs": corrections,
         "levels": DeferredReports(problem, rank_tolerance, dtheta),
         "zeros": _row_names(problem, lists[tight:zero], names[2 * problem.joint_count :]) if zero > tight else (),
-        "active_rows": tuple([names[i] for i in lists[COUNTS:active]]),
+        "active_rows": written.active().named(),
     }
 
 

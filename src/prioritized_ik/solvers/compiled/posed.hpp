@@ -18,6 +18,9 @@ struct Block {
     double* sizes;             // lengths of these columns
     double *reflectors, *taus; // of the rows' coordinates, where there are any
     bool is_cut;               // by more than rounding
+    bool is_soft;              // of soft inequalities: `given` of them, those that count are the exceeded ones
+    int soft_start;            // number of its first row among all inequalities
+    double rank_tolerance, asked;  // asked: length of all it asks for
     double strength, reach, inverse_norm, shortest, longest, demand, weakest, settled, blur;
     double* target() const { return above + size_t(start) * R.stride; }
     int end() const { return start + rank; }
@@ -47,7 +50,10 @@ class Posed {
         const double* root = io.metric_root.data();
         noise_ = io.settings[1];
         rank_tolerance_ = io.settings[0];
-        all_ = 2 * m_ + now_.rows;
+        hard_ = 2 * m_ + now_.rows;
+        soft_ = 0;
+        for (int l = 0; l < now_.levels; l++) soft_ += io.soft[l] ? io.ends[l] - (l ? io.ends[l - 1] : 0) : 0;
+        all_ = hard_ + soft_;
         bool plain = true;
         for (int j = 0; j < m_; j++) plain = plain && root[j] == 1.0;
         double *matrix = io.matrix.data(), *rows = io.row_matrix.data(), *fixed = io.equality_matrix.data();
@@ -58,7 +64,7 @@ class Posed {
         }
 
         // What is this short beside the longest row is rounding, see IKProblem.zero_length.
-        double* lengths = arena_.doubles(now_.level_rows + now_.rows + now_.equalities);
+        double* lengths = lengths_ = arena_.doubles(now_.level_rows + now_.rows + now_.equalities);
         double *hard_lengths = lengths + now_.level_rows, *fixed_lengths = hard_lengths + now_.rows, longest = 1.0;
         for (int i = 0; i < now_.level_rows; i++) longest = max(longest, lengths[i] = norm(matrix + size_t(i) * stride, stride));
         for (int i = 0; i < now_.rows; i++) {
@@ -70,10 +76,19 @@ class Posed {
         shortest_row_ = noise_ * longest;
         zero_ = arena_.array<int>(now_.level_rows + now_.rows);
 
+        matrix_ = matrix;
+        exceeded_ = arena_.array<uint8_t>(all_);
+        level_of_ = arena_.array<int>(all_);
+        std::memset(exceeded_, 0, all_);
+        std::fill_n(level_of_, all_, HARD);
         read_hard(rows, hard_lengths, plain);
         read_equalities(fixed, fixed_lengths, plain);
-        rows_ = equalities_;
-        for (int l = 0; l < now_.levels; l++) read_level(l, matrix, lengths);
+        for (int l = 0, next = hard_; l < now_.levels; l++) {
+            read_level(l);
+            if (!levels_[l].is_soft) continue;
+            read_soft(l, next);
+            next += levels_[l].given;
+        }
         reference_ = arena_.zeros(stride);
         has_reference_ = false;
         for (int j = 0; j < m_; j++) {
@@ -92,7 +107,7 @@ class Posed {
         const double* root = io.metric_root.data();
         side_ = arena_.doubles(all_);
         frozen_ = 0;
-        normal_ = arena_.doubles(size_t(now_.rows) * stride);
+        normal_ = arena_.doubles(size_t(now_.rows + soft_) * stride);
         for (int j = 0; j < m_; j++) {
             const bool frozen = io.lower[j] == io.upper[j];
             frozen_ += frozen;
@@ -138,28 +153,24 @@ class Posed {
     }
 
     // A level's rows that mean something, damping among them.
-    void read_level(int l, const double* matrix, const double* lengths) {
+    void read_level(int l) {
         Block& block = levels_[l];
         const int first = l ? io.ends[l - 1] : 0, end = io.ends[l], damped = io.damping[l] > 0.0 ? m_ : 0, n = end - first;
         block.first = first;
         block.given = n;
         block.n = 0;
+        block.is_soft = io.soft[l];
+        block.rank_tolerance = block.is_soft ? 0.0 : rank_tolerance_;
+        block.asked = 0.0;
         block.row = arena_.array<const double*>(n + damped);
         block.root = arena_.doubles(n + damped);
         block.side = arena_.doubles(n + damped);
         block.length = arena_.doubles(n + damped);
         block.order = arena_.array<int>(n + damped);
-        auto take = [&](const double* row, double weight_root, double length, double side) {
-            block.row[block.n] = row;
-            block.root[block.n] = weight_root;
-            block.length[block.n] = length;
-            block.side[block.n++] = side;
-        };
         for (int i = first; i < end; i++) {
-            const bool little = is_rounding(lengths[i]);
-            if (little && lengths[i] > 0.0) zero_[io.lists[ZERO]++] = i;
-            if (little || io.weights[i] == 0.0) continue;
-            take(matrix + size_t(i) * stride, sqrt(io.weights[i]), lengths[i], io.target[i]);
+            const bool little = is_rounding(lengths_[i]);
+            if (little && lengths_[i] > 0.0) zero_[io.lists[ZERO]++] = i;
+            if (!little && io.weights[i] != 0.0 && !block.is_soft) take(block, i);
         }
         if (damped) {
             double* extra = arena_.zeros(size_t(m_) * stride);
@@ -167,10 +178,51 @@ class Posed {
             if (is_rounding(strength)) throw Declined{ROUNDING_ROW};
             for (int j = 0; j < m_; j++) {
                 extra[size_t(j) * stride + j] = strength;
-                take(extra + size_t(j) * stride, 1.0, strength, 0.0);
+                block.row[block.n] = extra + size_t(j) * stride;
+                block.root[block.n] = 1.0;
+                block.length[block.n] = strength;
+                block.side[block.n++] = 0.0;
             }
         }
-        rows_ += block.n;
+    }
+
+    // One more of a level's rows counts.
+    void take(Block& block, int i) {
+        block.row[block.n] = matrix_ + size_t(i) * stride;
+        block.root[block.n] = sqrt(io.weights[i]);
+        block.length[block.n] = lengths_[i];
+        block.side[block.n++] = io.target[i];
+    }
+
+    // The rows of a soft level among the inequalities, of unit length, from number `next` on.
+    void read_soft(int l, int next) {
+        Block& block = levels_[l];
+        block.soft_start = next;
+        double asked = 0.0;
+        for (int i = 0; i < block.given; i++) {
+            const int from = block.first + i, to = next + i;
+            double* normal = normal_ + size_t(to - 2 * m_) * stride;
+            clear(normal, stride);
+            side_[to] = INFINITE;
+            level_of_[to] = l;
+            if (!(io.target[from] < INFINITE)) continue;
+            asked += io.weights[from] * io.target[from] * io.target[from];
+            if (is_rounding(lengths_[from]) || io.weights[from] == 0.0) continue;
+            add(1.0 / lengths_[from], matrix_ + size_t(from) * stride, normal, stride);
+            side_[to] = io.target[from] / lengths_[from];
+        }
+        block.asked = sqrt(asked);
+    }
+
+    // The exceeded rows of soft levels are what these ask for.
+    void take_exceeded() {
+        for (int l = 0; l < now_.levels; l++) {
+            Block& block = levels_[l];
+            if (!block.is_soft) continue;
+            block.n = 0;
+            for (int i = 0; i < block.given; i++)
+                if (exceeded_[block.soft_start + i]) take(block, block.first + i);
+        }
     }
 
     const Tolerances tol_;
@@ -179,16 +231,19 @@ class Posed {
     Arena arena_;
     std::vector<Block> levels_;
 
-    int all_ = 0, rows_ = 0, equalities_ = 0, frozen_ = 0;
+    static constexpr int HARD = -1;  // level of hard rows
+
+    int all_ = 0, hard_ = 0, soft_ = 0, rows_ = 0, equalities_ = 0, frozen_ = 0;
     double noise_ = 0.0, rank_tolerance_ = 0.0, shortest_row_ = 0.0;
     bool has_reference_ = false;
-    int* zero_ = nullptr;
+    int *zero_ = nullptr, *level_of_ = nullptr;  // level_of_: of every inequality
+    uint8_t* exceeded_ = nullptr;                // rows of soft levels that are not kept
+    double *matrix_ = nullptr, *lengths_ = nullptr;  // of the levels
     double *side_ = nullptr, *normal_ = nullptr, *equal_ = nullptr, *equal_side_ = nullptr, *reference_ = nullptr;
 
-  private:
     static size_t arena_size(const Sizes& s) {
         const size_t w = padded(s.joints), damped = s.level_rows + size_t(s.levels) * s.joints;
-        return (damped + s.equalities + 4 * w + s.rows + 64) * (w + padded(int(damped))) * 2 + 4096;
+        return (damped + s.equalities + 4 * w + s.rows + 64) * (w + padded(int(damped))) + 4096;
     }
 };
 

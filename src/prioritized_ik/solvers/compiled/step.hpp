@@ -22,6 +22,7 @@ class Step : public ActiveSet {
                 return declined.why;
             } catch (const Arena::Exhausted&) {
                 arena_.enlarge();
+                factors_.enlarge();
             }
         }
     }
@@ -41,7 +42,7 @@ class Step : public ActiveSet {
         // Rows of the last step come first, as a rule they are right. A step that they hold by a multiplier is not the closed
         // form's; any other may be, and the closed form has the first word then.
         closed_form_ = -1.0;
-        if (guessed && question != CLOSED_FORM_ONLY) {
+        if (guessed && question != CLOSED_FORM_ONLY && !soft_) {
             start_from_guess();
             if (search() && (question == FROM_GUESS_ONLY || io.lists[HOLDING])) return SOLVED;
             std::fill_n(io.lists.begin(), int(ZERO), 0);
@@ -58,13 +59,25 @@ class Step : public ActiveSet {
             }
             if (question == CLOSED_FORM_ONLY) return BINDING;
         }
+        // With soft levels the closed form comes first: what its length is for needs factors of its own.
+        if (guessed && soft_) {
+            start_from_guess();
+            refactor();
+            if (search()) return SOLVED;
+            std::memset(exceeded_, 0, all_);
+            refactor();
+        }
         std::memset(active_, 0, all_);
         if (!search()) throw Declined{UNSETTLED};
         return SOLVED;
     }
 
     void start_from_guess() {
-        for (int i = 0; i < all_; i++) active_[i] = io.guess[i] && side_[i] < INFINITE;
+        constexpr int NOT_KEPT = 2;
+        for (int i = 0; i < all_; i++) {
+            exceeded_[i] = i >= hard_ && io.guess[i] == NOT_KEPT && side_[i] < INFINITE;
+            active_[i] = io.guess[i] && side_[i] < INFINITE && !exceeded_[i];
+        }
     }
 };
 

@@ -14,9 +14,9 @@ from prioritized_ik.solvers.compiled.library import Question, library, tolerance
 from prioritized_ik.validation import Array
 
 FIGURES = 4  # of a level: gap, relative gap, stationarity, rounding
-COUNTS = 7  # corrections, faces, proofs; the lengths of the lists of active, tight, zero and holding rows
-ACTIVE, HOLDING = 3, 6  # their places; those between are of the tight rows and of those that are rounding
-ARRAYS = 19  # that both sides see
+COUNTS = 8  # corrections, faces, proofs; the lengths of the lists of active, exceeded, tight, zero and holding rows
+ACTIVE, EXCEEDED, HOLDING = 3, 4, 7  # their places; those between are of the tight rows and of those that are rounding
+ARRAYS = 20  # that both sides see
 
 
 class Sizes(NamedTuple):
@@ -76,7 +76,7 @@ class Workspace:
             raise MemoryError("no memory for the compiled core")
         self._address = ctypes.c_void_p(address)
         weakref.finalize(self, core.core_delete, self._address)
-        stride, every = core.core_stride(self._address), 2 * m + r
+        stride, every = core.core_stride(self._address), 2 * m + r + k
         levels = room.levels
         addresses = (ctypes.c_void_p * ARRAYS)()
         core.core_arrays(self._address, addresses)
@@ -90,13 +90,14 @@ class Workspace:
         self.equality_matrix, self.equality_target = _reals(next(at), e, stride)[:, :m], _reals(next(at), e)
         self.metric_root, self.reference = _reals(next(at), m), _reals(next(at), m)
         self.settings = _reals(next(at), 2)
-        self.ends, self.guess = _integers(next(at), levels), _flags(next(at), every)
+        self.ends = _integers(next(at), levels)
+        self.soft, self.guess = _flags(next(at), levels), _flags(next(at), every)
         self.dtheta = _reals(next(at), m)
         self.figures = _reals(next(at), FIGURES * (levels + 1) + 2 + levels)
         self.multipliers = _reals(next(at), (levels + 1) * every)
         self.lists = _integers(next(at), COUNTS + 2 * every + k + r + 2 * (levels + 1) * every)
-        self._names: tuple[tuple[str, ...], tuple[str, ...]] | None = None
-        self.names: tuple[str, ...] = ()  # of upper bounds, lower bounds and rows, as lists number them
+        self._names: tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, int], ...]] | None = None
+        self.names: tuple[str, ...] = ()  # of upper bounds, lower bounds, rows and soft levels' rows, as lists number them
         self.numbers: dict[str, int] = {}
 
     def fill(self, problem: IKProblem, sizes: Sizes, rank_tolerance: float) -> None:
@@ -108,6 +109,7 @@ class Workspace:
             self.target[start:end] = level.target
             self.weights[start:end] = level.weights
             self.damping[number] = level.damping
+            self.soft[number] = level.is_soft
             self.ends[number] = end
         self.lower[:] = problem.bounds.lower
         self.upper[:] = problem.bounds.upper
@@ -124,10 +126,17 @@ class Workspace:
 
     def name(self, problem: IKProblem) -> None:
         """Let `names` and `numbers` be those of a problem."""
-        found = problem.bounds.names, problem.rows.names
+        soft = tuple([(level.name, len(level.target)) for level in problem.levels if level.is_soft])
+        found = problem.bounds.names, problem.rows.names, soft
         if found != self._names:
             self._names = found
-            self.names = (*(f"{name} upper" for name in found[0]), *(f"{name} lower" for name in found[0]), *found[1])
+            joints, rows, _ = found
+            self.names = (
+                *(f"{name} upper" for name in joints),
+                *(f"{name} lower" for name in joints),
+                *rows,
+                *(f"{name} row {i + 1}" for name, count in soft for i in range(count)),
+            )
             self.numbers = {name: number for number, name in reversed(list(enumerate(self.names)))}
 
     def solve(self, sizes: Sizes, question: Question) -> int:
@@ -151,10 +160,10 @@ def _integers(address: int | None, count: int) -> NDArray[np.int32]:
     return np.ctypeslib.as_array((ctypes.c_int32 * count).from_address(address))
 
 
-def _flags(address: int | None, count: int) -> NDArray[np.bool_]:
+def _flags(address: int | None, count: int) -> NDArray[np.uint8]:
     if address is None or not count:
-        return np.zeros(0, dtype=np.bool_)
-    return np.ctypeslib.as_array((ctypes.c_bool * count).from_address(address))
+        return np.zeros(0, dtype=np.uint8)
+    return np.ctypeslib.as_array((ctypes.c_uint8 * count).from_address(address))
 
 
 class _Own(threading.local):

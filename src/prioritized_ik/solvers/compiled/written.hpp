@@ -13,7 +13,7 @@ class Written : public Certified {
     void conclude(const int* ids, int t) {
         const int levels = now_.levels;
         const double margin = tol_.MARGIN, near = tol_.CERTIFIED * scale_;
-        double violation = max(0.0, -worst_), variation = 0.0;
+        double violation = max(0.0, -worst_hard_), variation = 0.0;
         for (int i = 0; i < equalities_; i++)
             violation = max(violation, abs(dot(equal_ + size_t(i) * stride, u_, stride) - equal_side_[i]));
         double* figures = io.figures.data();
@@ -26,8 +26,10 @@ class Written : public Certified {
         }
         if (!clear_cut || !(variation <= margin * tol_.UNDECIDED)) throw Declined{UNPROVEN};
         if (doubt_) throw Declined{NEARLY_DECIDED};
-        for (int i = 0; i < all_ && t; i++)
-            if (reach_[i] > margin * near && reach_[i] < near / margin) throw Declined{NEARLY_TIGHT};
+        for (int i = 0; i < all_ && (t || soft_); i++) {
+            const double off = i < hard_ ? reach_[i] : abs(reach_[i]);
+            if (off > margin * near && off < near / margin) throw Declined{NEARLY_TIGHT};
+        }
         figures[0] = violation / scale_;
         figures[1] = scale_;
 
@@ -35,7 +37,9 @@ class Written : public Certified {
         int32_t *counts = io.lists.data(), *list = counts + COUNTS;
         for (int i = 0; i < t; i++) *list++ = ids[i];
         counts[ACTIVE] = t;
-        for (int i = 0; i < all_; i++) {
+        for (int i = hard_; i < all_; i++)
+            if (exceeded_[i]) *list++ = i, counts[EXCEEDED]++;
+        for (int i = 0; i < hard_; i++) {
             const int joint = i < m_ ? i : i - m_;
             const bool frozen = i < 2 * m_ && frozen_ && io.lower[joint] == io.upper[joint];
             if (frozen || reach_[i] <= tol_.ACCEPTED_VIOLATION * scale_) *list++ = i, counts[TIGHT]++;
@@ -53,7 +57,8 @@ class Written : public Certified {
             const Block& block = levels_[l];
             double cost = 0.0;
             for (int i = block.first; i < block.first + block.given; i++) {
-                const double off = dot(io.matrix.data() + size_t(i) * stride, io.dtheta.data(), stride) - io.target[i];
+                double off = dot(io.matrix.data() + size_t(i) * stride, io.dtheta.data(), stride) - io.target[i];
+                if (block.is_soft) off = max(off, 0.0);
                 cost += io.weights[i] * off * off;
             }
             figures[2 + l] = cost;
