@@ -77,8 +77,9 @@ def browser() -> Iterator["playwright.sync_api.Browser"]:
     if started.returncode:
         pytest.skip(f"the driver of Chromium does not start here ({started.stderr.strip()})")
     with playwright.sync_api.sync_playwright() as running:
-        # The sandbox of Chromium does not start for root, as in a container.
-        browser = running.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        # The sandbox of Chromium does not start for root, as in a container; WebGL is drawn without a graphics card.
+        options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        browser = running.chromium.launch(executable_path=chromium, args=options)
         yield browser
         browser.close()
 

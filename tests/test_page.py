@@ -224,7 +224,10 @@ def test_the_page_is_one_file_that_loads_nothing(store: SmallStore, rows: list[R
     shell = page[: page.index('<script type="application/json"')]
     assert "default-src 'none'" in page.replace("&#x27;", "'")
     assert re.findall(r'(?:src|href)="(?!#)([^"]*)"', shell) == ["data:,"]
-    assert set(re.findall(r"https?://[^\s\"'`)]+", page)) == {"http://www.w3.org/2000/svg"}  # the name of SVG
+    assert set(re.findall(r"https?://[^\s\"'`)]+", page)) == {
+        "http://www.w3.org/2000/svg",
+        "http://www.w3.org/1999/xhtml",
+    }  # names of SVG and of HTML
 
 
 def test_no_text_of_the_data_can_leave_it(store: SmallStore, rows: list[Row], tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import base64
 import io
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from winding_fixtures import recorded
 from comparisons.page import write_page
 from comparisons.summary import summarise
 from prioritized_ik.problem_file import load_problem
+from prioritized_ik.winding.episode import Episode
 
 EPISODE = recorded(link=13)  # what FAST drove, the first of the choice
 
@@ -48,14 +50,19 @@ def page(request: pytest.FixtureRequest, browser: "playwright.Browser", report: 
 
 
 def picture(page: "playwright.Page", selector: str) -> str:
-    shown: str = page.locator(selector).evaluate("canvas => canvas.toDataURL()")
-    return shown
+    data: str = page.locator(selector).evaluate("canvas => canvas.toDataURL()")
+    return data
+
+
+def shown(page: "playwright.Page") -> np.ndarray:
+    """The pixels of the replay: red, green, blue, opacity."""
+    content = base64.b64decode(picture(page, ".stage canvas").partition(",")[2])
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGBA"), dtype=int)
 
 
 def count_orange(page: "playwright.Page") -> int:
     """How many pixels of the replay have the colour of links in contact."""
-    shown = base64.b64decode(picture(page, ".stage canvas").partition(",")[2])
-    red, _, blue, alpha = np.moveaxis(np.asarray(Image.open(io.BytesIO(shown)).convert("RGBA"), dtype=int), 2, 0)
+    red, _, blue, alpha = np.moveaxis(shown(page), 2, 0)
     return int(((alpha > 0) & (red > 2 * blue + 40)).sum())
 
 
@@ -161,6 +168,34 @@ def test_the_replay_shows_the_chosen_solver_and_lays_another_over_it(page: "play
     assert status(page)[1] == recorded(link=13, tilt=0.3).steps != EPISODE.steps
     solver.select_option(FAST)
     assert picture(page, ".stage canvas") == first
+
+
+class Pierced(SmallStore):
+    """The same, but for one winding whose last links stand in the middle of the object."""
+
+    def _driven(self, solver: str) -> Episode:
+        driven = super()._driven(solver)
+        if solver == FAST:
+            return driven
+        positions = driven.positions.copy()
+        positions[:, -3:] = driven.settings.wound_object().position
+        return replace(driven, positions=positions)
+
+
+def test_what_is_inside_the_object_shows_and_nothing_else_has_its_colour(
+    browser: "playwright.Browser", tmp_path: Path
+) -> None:
+    store = Pierced(tmp_path)
+    file = write_page(tmp_path, store, summarise(store.steps(), store.episodes()))
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.goto(file.as_uri())
+    pink = []
+    for solver in (FAST, SLOW):
+        page.get_by_label("Solver", exact=True).select_option(solver)
+        red, green, blue = np.moveaxis(shown(page), 2, 0)[:3]
+        pink.append(int(((red > green + 60) & (blue > green + 40)).sum()))
+    assert pink[0] == 0
+    assert pink[1] > 200
 
 
 def test_a_drag_turns_the_arm(page: "playwright.Page") -> None:

@@ -61,7 +61,7 @@ def _check_wheel(path: Path) -> None:
     core = {_name(each) for each in required if "extra ==" not in each}
     _expect("what the wheel requires", core, CORE)
     _expect("extras that the wheel lacks", EXTRAS - set(said.get_all("Provides-Extra", [])), set())
-    _expect("licence", said["License-Expression"], "Apache-2.0")
+    _expect("licence", said["License-Expression"], "Apache-2.0 AND MIT")
 
 
 def _check_source(path: Path) -> None:

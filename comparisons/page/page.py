@@ -71,7 +71,7 @@ def data(store: Source, rows: list[Row]) -> dict[str, Any]:
 
 def page(content: dict[str, Any]) -> str:
     """Return the HTML that shows `content`."""
-    style, script = _asset("page.css"), "\n".join(_asset(name) for name in SCRIPTS)
+    style, script = _asset("page.css"), "\n".join([_three(), *(_asset(name) for name in SCRIPTS)])
     policy = f"default-src 'none'; style-src {_hash(style)}; script-src {_hash(script)}; img-src data:"
     return Template(_asset("page.html")).substitute(
         policy=html.escape(policy),
@@ -80,6 +80,13 @@ def page(content: dict[str, Any]) -> str:
         # A "</script>" or "<!--" in the data would end it, whatever it stands in.
         data=json.dumps(content, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
     )
+
+
+def _three() -> str:
+    """Return three.js as one object, `THREE`: a module as it is would have to be loaded, and this page loads nothing."""
+    body, _, exported = _asset("three/three.module.min.js").rpartition("export{")
+    pairs = [name.split(" as ") for name in exported.strip().removesuffix(";").removesuffix("}").split(",")]
+    return f"const THREE = (() => {{{body}return {{{', '.join(f'{pair[-1]}: {pair[0]}' for pair in pairs)}}}; }})();"
 
 
 def _asset(name: str) -> str:

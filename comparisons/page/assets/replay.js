@@ -2,14 +2,18 @@
 // The windings in three dimensions: play, scrub, choose the solver, lay a second one over the first.
 
 const SECONDS = 8; // that a winding plays for at the usual speed
-const FREE = [["#1f4e79", "#3f7fb8", "#9cc7ea"], ["#173d60", "#32699b", "#85b5db"]]; // neighbours differ, so that links show
-const TOUCHING = [["#8f3d00", "#e06a10", "#ffc08a"], ["#7d3500", "#cc5c06", "#f7ad6f"]];
-const OTHER = [["#4f4f57", "#83838c", "#c9c9d0"], ["#46464d", "#75757e", "#bbbbc3"]];
+const FREE = ["#3f7fb8", "#2b628f"]; // neighbours differ, so that links show
+const TOUCHING = ["#e06a10", "#b94f00"];
+const OTHER = ["#9a9aa3", "#7f7f88"];
 
 class Replay {
   constructor(box, replays) {
     this.windings = replays.windings;
     this.every = replays.every;
+    if (!document.createElement("canvas").getContext("webgl2")) {
+      box.append(el("p", { class: "note" }, "The replay needs WebGL 2, which this browser does not have here."));
+      return;
+    }
     if (!this.windings.length) { box.append(el("p", {}, "No winding was driven in this run.")); return; }
     this.cases = [...new Set(this.windings.map((one) => one.case))];
     this.frame = 0;
@@ -28,6 +32,7 @@ class Replay {
     this.speedChoice = choice("Speed", speeds.map((s) => `${s} ×`), 1, (i) => { this.speed = speeds[i]; });
     this.canvas = el("canvas", { "aria-label": "The arm", role: "img" });
     this.status = el("p", { class: "status" });
+    this.solids = new Solids(this.canvas);
     this.stage = el("div", { class: "stage" }, this.canvas, this.status);
     this.button = el("button", { type: "button", class: "button main", onclick: () => this.play(!this.playing) }, "Play");
     this.slider = el("input", { type: "range", class: "slider", min: 0, max: 0, step: 1, value: 0, "aria-label": "Step",
@@ -39,8 +44,8 @@ class Replay {
       el("div", { class: "controls" }, this.caseChoice.label, this.solverChoice.label, this.otherChoice.label, this.speedChoice.label,
         this.button),
       this.stage, this.slider, this.roll,
-      el("div", { class: "key" }, swatch(TOUCHING[0][1], "link in contact"), swatch(FREE[0][1], "link in the air"),
-        swatch(OTHER[0][1], "second solver"), el("span", {}, "Strip: links from the base (bottom) to the tip (top), over the steps")),
+      el("div", { class: "key" }, swatch(TOUCHING[0], "link in contact"), swatch(FREE[0], "link in the air"),
+        swatch(INSIDE_COLOUR, "inside the object"), swatch(OTHER[0], "second solver"), el("span", {}, "Strip: links from the base (bottom) to the tip (top), over the steps")),
       this.numbers);
     if (this.every > 1) box.append(el("p", { class: "note" }, `Every ${this.every}th state is kept, for the size of this page.`));
     this.drag();
@@ -75,7 +80,7 @@ class Replay {
     const share = this.motion ? this.frame / Math.max(1, this.motion.count - 1) : 0;
     this.motion = motionOf(this.winding);
     this.second = other >= 0 ? motionOf(this.inCase[other]) : null;
-    this.faces = facesOf(this.winding.object);
+    this.solids.show(this.winding.object);
     this.angles = this.angles || firstAngles(this.winding.object);
     this.slider.max = this.motion.count - 1;
     this.tell();
@@ -125,14 +130,14 @@ class Replay {
     const width = this.stage.clientWidth;
     if (!width || !this.motion) return;
     const height = Math.round(Math.max(300, Math.min(560, width * 0.56)));
-    const context = sized(this.canvas, width, height);
-    const view = fitted(this.angles, this.toSee(), width, height);
-    const arms = [{ points: this.motion.points(this.frame), colours: (i) => (this.motion.touches(this.frame, i) ? TOUCHING : FREE)[i % 2] }];
+    this.solids.size(width, height);
+    this.solids.fit(this.angles, this.toSee(), width, height);
+    const arms = [{ points: this.motion.points(this.frame), colour: (i) => (this.motion.touches(this.frame, i) ? TOUCHING : FREE)[i % 2] }];
     if (this.second) {
       const frame = this.secondFrame();
-      arms.push({ points: this.second.points(frame), colours: (i) => OTHER[i % 2], thin: 0.8 }); // hidden where both agree
+      arms.push({ points: this.second.points(frame), colour: (i) => OTHER[i % 2], thin: 0.8 }); // hidden where both agree
     }
-    paint(context, view, this.faces, arms, this.winding.radius);
+    this.solids.draw(arms, this.winding.radius);
     let touching = 0;
     for (let i = 0; i < this.motion.links; i++) touching += this.motion.touches(this.frame, i);
     this.status.textContent = `step ${this.motion.steps[this.frame]} of ${this.motion.steps[this.motion.count - 1]}`
@@ -142,7 +147,7 @@ class Replay {
 
   toSee() {
     // The object, and the arm from now on: the view comes closer as the arm winds up, and never swings back.
-    const points = this.faces.map((face) => face.middle);
+    const points = this.solids.corners();
     const last = this.motion.count - 1;
     for (let k = 0; k <= 6; k++) points.push(...this.motion.points(Math.round(this.frame + (last - this.frame) * k / 6)));
     if (this.second) points.push(...this.second.points(this.secondFrame()));
@@ -160,7 +165,7 @@ class Replay {
     const context = sized(this.roll, width, row * links);
     context.fillStyle = "#e4ebf2";
     context.fillRect(0, 0, width, row * links);
-    context.fillStyle = TOUCHING[0][1];
+    context.fillStyle = TOUCHING[0];
     for (let i = 0; i < links; i++) {
       for (let from = 0; from < count; from++) {
         if (!this.motion.touches(from, i)) continue;
@@ -228,23 +233,7 @@ function motionOf(winding) {
 function firstAngles(object) {
   // Obliquely along the object's axis.
   const axis = [0, 1, 2].map((k) => object.rotation[k][2]);
-  const along = axis[1] < 0 || Math.abs(axis[2]) > 0.5 ? axis : vec.mul(axis, -1);
-  const towards = vec.unit(vec.add(vec.mul(along, 0.8), [0.45, -0.55, 0.55]));
-  return { azimuth: Math.atan2(towards[1], towards[0]), elevation: Math.asin(towards[2]) };
-}
-
-function fitted({ azimuth, elevation }, points, width, height) {
-  // The camera that sees all points from there, just so far off that they fill the picture.
-  let target = points[0], distance = 4;
-  for (let round = 0; ; round++) {
-    const from = camera(target, distance, azimuth, elevation, width, height);
-    if (round === 5) return from;
-    const seen = points.map(from.see);
-    const [left, right] = [Math.min(...seen.map((p) => p.x)), Math.max(...seen.map((p) => p.x))];
-    const [top, bottom] = [Math.min(...seen.map((p) => p.y)), Math.max(...seen.map((p) => p.y))];
-    const size = from.see(target).size;
-    target = vec.add(target, vec.add(
-      vec.mul(from.right, ((left + right) / 2 - width / 2) / size), vec.mul(from.up, (height / 2 - (top + bottom) / 2) / size)));
-    distance *= Math.max((right - left) / (0.86 * width), (bottom - top) / (0.76 * height));
-  }
+  const along = at(axis).multiplyScalar(axis[1] < 0 || Math.abs(axis[2]) > 0.5 ? 0.8 : -0.8);
+  const towards = along.add(at([0.45, -0.55, 0.55])).normalize();
+  return { azimuth: Math.atan2(towards.y, towards.x), elevation: Math.asin(towards.z) };
 }

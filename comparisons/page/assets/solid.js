@@ -1,142 +1,140 @@
 "use strict";
-// A small painter of solids on a canvas: faces of the wound object and round links, sorted by depth, the farthest first.
+// The arm and the wound object in three dimensions, drawn by three.js.
 
-const vec = {
-  add: (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]],
-  sub: (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]],
-  mul: (a, s) => [a[0] * s, a[1] * s, a[2] * s],
-  dot: (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2],
-  cross: (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]],
-  unit: (a) => vec.mul(a, 1 / (Math.hypot(...a) || 1)),
-  mix: (a, b, t) => vec.add(vec.mul(a, 1 - t), vec.mul(b, t)),
-};
+const PIECES = 6; // of each link, each coloured by whether it is inside the object
+const INSIDE = 5e-4; // [m] deeper than this a link is inside
+const INSIDE_COLOUR = "#c2187e";
 
-function camera(target, distance, azimuth, elevation, width, height) {
-  const towards = [Math.cos(elevation) * Math.cos(azimuth), Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation)];
-  const eye = vec.add(target, vec.mul(towards, distance));
-  const forward = vec.mul(towards, -1);
-  const right = vec.unit(vec.cross(forward, [0, 0, 1]));
-  const up = vec.cross(right, forward);
-  const focal = 1.6 * Math.min(width, height * 1.5);
-  return { eye, right, up, see: (p) => {
-    const d = vec.sub(p, eye);
-    const depth = vec.dot(d, forward);
-    const size = focal / depth;
-    return { x: width / 2 + size * vec.dot(d, right), y: height / 2 - size * vec.dot(d, up), depth, size };
-  } };
+const at = (p) => new THREE.Vector3(...p);
+
+// Where the object's own axes are: columns of its rotation, and its place.
+function placeOf(object) {
+  const [a, b, c] = object.rotation;
+  return new THREE.Matrix4().set(...a, object.position[0], ...b, object.position[1], ...c, object.position[2], 0, 0, 0, 1);
 }
 
-// Faces of the object: corners in the world and the outward normal. MuJoCo's half-sizes.
-function facesOf(object) {
-  const { shape, size } = object;
-  const local = [];
-  const grid = (nu, nv, at) => {
-    for (let i = 0; i < nu; i++) for (let j = 0; j < nv; j++) {
-      local.push([at(i / nu, j / nv), at((i + 1) / nu, j / nv), at((i + 1) / nu, (j + 1) / nv), at(i / nu, (j + 1) / nv)]);
-    }
-  };
-  const turn = (u, r, z) => [r * Math.cos(2 * Math.PI * u), r * Math.sin(2 * Math.PI * u), z];
-  if (shape === "cylinder") {
-    const [r, h] = size;
-    grid(40, 8, (u, v) => turn(u, r, h * (2 * v - 1)));
-    grid(40, 2, (u, v) => turn(u, r * (1 - v), h));
-    grid(40, 2, (u, v) => turn(u, r * v, -h));
-  } else if (shape === "box") {
-    for (const axis of [0, 1, 2]) for (const side of [-1, 1]) {
-      const [a, b] = [(axis + 1) % 3, (axis + 2) % 3];
-      grid(5, 5, (u, v) => {
-        const p = [0, 0, 0];
-        p[axis] = side * size[axis]; p[a] = size[a] * (2 * u - 1); p[b] = side * size[b] * (2 * v - 1);
-        return p;
-      });
-    }
-  } else { // sphere, ellipsoid, capsule: a ball, stretched or pulled apart
-    const radii = shape === "ellipsoid" ? size : [size[0], size[0], size[0]];
-    const half = shape === "capsule" ? size[1] : 0;
-    grid(32, 20, (u, v) => {
-      const up = Math.PI * (v - 0.5);
-      const [x, y, z] = turn(u, Math.cos(up), Math.sin(up));
-      return [radii[0] * x, radii[1] * y, radii[2] * z + half * Math.sign(v - 0.5)];
-    });
-  }
-  const world = ([x, y, z]) => object.position.map((p, k) =>
-    p + object.rotation[k][0] * x + object.rotation[k][1] * y + object.rotation[k][2] * z);
-  return local.map((corners) => {
-    const at = corners.map(world);
-    const normal = vec.unit(vec.cross(vec.sub(at[2], at[0]), vec.sub(at[3], at[1])));
-    return { at, normal, middle: at.reduce((sum, p) => vec.add(sum, vec.mul(p, 0.25)), [0, 0, 0]) };
-  });
+// MuJoCo's half-sizes; a cylinder and a capsule lie along z, in three.js along y.
+function geometryOf({ shape, size }) {
+  if (shape === "box") return new THREE.BoxGeometry(...size.map((half) => 2 * half));
+  if (shape === "cylinder") return new THREE.CylinderGeometry(size[0], size[0], 2 * size[1], 64).rotateX(Math.PI / 2);
+  if (shape === "capsule") return new THREE.CapsuleGeometry(size[0], 2 * size[1], 24, 48).rotateX(Math.PI / 2);
+  const ball = new THREE.SphereGeometry(1, 48, 32);
+  return shape === "ellipsoid" ? ball.scale(...size) : ball.scale(size[0], size[0], size[0]);
 }
 
-const LIGHT = vec.unit([0.35, -0.6, 0.9]);
-const PIECES = 4; // of each link: the shorter, the better they sort
-
-function paint(context, view, faces, arms, radius) {
-  const list = [];
-  for (const face of faces) {
-    if (vec.dot(face.normal, vec.sub(view.eye, face.middle)) <= 0) continue;
-    list.push({ depth: view.see(face.middle).depth, draw: () => paintFace(context, view, face) });
+// Distance of a point, in the object's own axes, from its surface; negative inside.
+function distanceTo({ shape, size }, p) {
+  if (shape === "sphere") return p.length() - size[0];
+  if (shape === "capsule") return p.distanceTo(new THREE.Vector3(0, 0, Math.max(-size[1], Math.min(size[1], p.z)))) - size[0];
+  if (shape === "ellipsoid") { // to first order, as exact as a colour needs
+    const k = Math.hypot(p.x / size[0], p.y / size[1], p.z / size[2]);
+    return k * (k - 1) / Math.max(1e-9, Math.hypot(p.x / size[0] ** 2, p.y / size[1] ** 2, p.z / size[2] ** 2));
   }
-  for (const arm of arms) {
-    const thick = radius * (arm.thin || 1);
-    const behind = arm.thin ? 1.5 * radius : 0; // where two arms are in one place, the first is seen
-    arm.points.slice(1).forEach((end, i) => {
-      const start = arm.points[i];
-      const colours = arm.colours(i);
-      const joint = view.see(start);
-      list.push({ depth: joint.depth + 0.001 + behind, draw: () => paintBall(context, joint, thick, colours) });
-      if (i === arm.points.length - 2) {
-        const tip = view.see(end);
-        list.push({ depth: tip.depth + 0.001 + behind, draw: () => paintBall(context, tip, thick, colours) });
-      }
+  const sides = shape === "cylinder"
+    ? [Math.hypot(p.x, p.y) - size[0], Math.abs(p.z) - size[1]]
+    : [p.x, p.y, p.z].map((value, k) => Math.abs(value) - size[k]);
+  return Math.hypot(...sides.map((value) => Math.max(value, 0))) + Math.min(0, Math.max(...sides));
+}
+
+class Solids {
+  constructor(canvas) {
+    // What is drawn stays readable: saved as a picture, for instance.
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: true });
+    this.camera = new THREE.PerspectiveCamera(35, 1, 0.01, 100);
+    this.camera.up.set(0, 0, 1);
+    this.scene = new THREE.Scene();
+    const sun = new THREE.DirectionalLight("#ffffff", 1.6);
+    sun.position.set(0.35, -0.6, 0.9);
+    this.scene.add(new THREE.HemisphereLight("#ffffff", "#9aa4b0", 1.7), sun);
+    this.arms = [];
+  }
+
+  show(object) {
+    this.scene.remove(this.body);
+    const mesh = new THREE.Mesh(geometryOf(object), new THREE.MeshStandardMaterial({
+      color: "#d9c98f", roughness: 0.9, transparent: true, opacity: 0.45, depthWrite: false, side: THREE.DoubleSide }));
+    const edges = new THREE.LineSegments(new THREE.EdgesGeometry(mesh.geometry, 40), new THREE.LineBasicMaterial({ color: "#8d7d45" }));
+    this.body = new THREE.Group().add(mesh, edges);
+    this.place = placeOf(object);
+    this.body.applyMatrix4(this.place);
+    this.inwards = this.place.clone().invert();
+    this.object = object;
+    this.scene.add(this.body);
+  }
+
+  // Corners of the object's own box, for the camera.
+  corners() {
+    const box = new THREE.Box3().setFromObject(this.body);
+    return [0, 1, 2, 3, 4, 5, 6, 7].map((k) => [0, 1, 2].map((axis) => (k >> axis & 1 ? box.max : box.min).getComponent(axis)));
+  }
+
+  draw(arms, radius) {
+    while (this.arms.length) { const old = this.arms.pop(); this.scene.remove(old); old.dispose(); }
+    for (const arm of arms) this.add(arm, radius * (arm.thin || 1));
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  // How deep the surface of a link is inside the object at a point of its axis.
+  depth(point, radius) { return radius - distanceTo(this.object, point.clone().applyMatrix4(this.inwards)); }
+
+  add(arm, radius) {
+    const rod = new THREE.CylinderGeometry(radius, radius, 1, 20, 1, true), ball = new THREE.SphereGeometry(radius, 20, 14);
+    const links = arm.points.length - 1, points = arm.points.map(at);
+    const parts = [false, true].map((inside) => ({ rods: this.many(rod, links * PIECES, inside), balls: this.many(ball, links + 1, inside) }));
+    const put = (kind, point, matrix, i) => {
+      const inside = !arm.thin && this.depth(point, radius) > INSIDE;
+      const mesh = parts[Number(inside)][kind];
+      mesh.setMatrixAt(mesh.count, matrix);
+      mesh.setColorAt(mesh.count++, new THREE.Color(inside ? INSIDE_COLOUR : arm.colour(i)));
+    };
+    points.forEach((point, i) => put("balls", point, new THREE.Matrix4().setPosition(point), Math.min(i, links - 1)));
+    for (let i = 0; i < links; i++) {
+      const along = points[i + 1].clone().sub(points[i]);
+      const turn = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 1, 0), along.clone().normalize());
+      const size = new THREE.Vector3(1, along.length() / PIECES, 1);
       for (let k = 0; k < PIECES; k++) {
-        const [a, b] = [view.see(vec.mix(start, end, k / PIECES)), view.see(vec.mix(start, end, (k + 1) / PIECES))];
-        list.push({ depth: (a.depth + b.depth) / 2 + behind, draw: () => paintPiece(context, a, b, thick, colours) });
+        const middle = points[i].clone().addScaledVector(along, (k + 0.5) / PIECES);
+        put("rods", middle, new THREE.Matrix4().compose(middle, turn, size), i);
       }
-    });
+    }
   }
-  list.sort((a, b) => b.depth - a.depth);
-  for (const item of list) item.draw();
-}
 
-function paintFace(context, view, face) {
-  const light = 0.62 + 0.38 * Math.max(0, vec.dot(face.normal, LIGHT));
-  context.fillStyle = context.strokeStyle = `rgb(${[226, 215, 178].map((v) => Math.round(v * light)).join(",")})`;
-  context.lineWidth = 1;
-  context.beginPath();
-  face.at.map(view.see).forEach((p, i) => (i ? context.lineTo(p.x, p.y) : context.moveTo(p.x, p.y)));
-  context.closePath();
-  context.fill();
-  context.stroke(); // closes the hairlines between faces
-}
+  // As many copies of a geometry as are put; what is inside the object is drawn last, over all that hides it.
+  many(geometry, most, inside) {
+    const mesh = new THREE.InstancedMesh(geometry, new THREE.MeshStandardMaterial({ roughness: 0.5, depthTest: !inside }), most);
+    mesh.material.transparent = inside; // such things come after the object
+    mesh.renderOrder = Number(inside);
+    mesh.count = 0;
+    mesh.frustumCulled = false;
+    this.scene.add(mesh);
+    this.arms.push(mesh);
+    return mesh;
+  }
 
-function paintPiece(context, a, b, radius, [dark, main, bright]) {
-  const length = Math.hypot(b.x - a.x, b.y - a.y);
-  if (length < 0.2) return;
-  const [tx, ty] = [(b.x - a.x) / length, (b.y - a.y) / length];
-  let [nx, ny] = [-ty, tx];
-  if (ny > 0) [nx, ny] = [-nx, -ny]; // towards the light, which comes from above
-  const [wa, wb] = [radius * a.size, radius * b.size];
-  const w = Math.max(wa, wb);
-  const across = context.createLinearGradient(a.x + nx * w, a.y + ny * w, a.x - nx * w, a.y - ny * w);
-  across.addColorStop(0, main); across.addColorStop(0.3, bright); across.addColorStop(0.62, main); across.addColorStop(1, dark);
-  context.fillStyle = across;
-  const more = Math.min(0.6, length); // closes the hairline to the next piece
-  context.beginPath();
-  context.moveTo(a.x + nx * wa - tx * more, a.y + ny * wa - ty * more);
-  context.lineTo(b.x + nx * wb + tx * more, b.y + ny * wb + ty * more);
-  context.lineTo(b.x - nx * wb + tx * more, b.y - ny * wb + ty * more);
-  context.lineTo(a.x - nx * wa - tx * more, a.y - ny * wa - ty * more);
-  context.closePath();
-  context.fill();
-}
+  // Turns the camera, and puts it just so far off that all points fill the picture.
+  fit({ azimuth, elevation }, points, width, height) {
+    const towards = at([Math.cos(elevation) * Math.cos(azimuth), Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation)]);
+    const { camera } = this;
+    camera.aspect = width / height;
+    camera.position.copy(towards);
+    camera.lookAt(0, 0, 0);
+    camera.updateMatrixWorld();
+    const [right, up] = [0, 1].map((axis) => new THREE.Vector3().setFromMatrixColumn(camera.matrixWorld, axis));
+    const tangent = Math.tan(camera.fov * Math.PI / 360);
+    const [wide, high] = [0.86 * tangent * camera.aspect, 0.8 * tangent];
+    // Along an axis of the picture, x = offset + slope · depth is seen at the edge: the tightest pair of planes.
+    const fitted = (axis, slope) => {
+      const ends = [1, -1].map((side) => Math.max(...points.map((p) => side * at(p).dot(axis) + slope * at(p).dot(towards))));
+      return { middle: (ends[0] - ends[1]) / 2, depth: (ends[0] + ends[1]) / 2 / slope };
+    };
+    const [x, y] = [fitted(right, wide), fitted(up, high)];
+    camera.position.copy(right.multiplyScalar(x.middle).addScaledVector(up, y.middle).addScaledVector(towards, Math.max(x.depth, y.depth)));
+    camera.updateProjectionMatrix();
+    camera.updateMatrixWorld();
+  }
 
-function paintBall(context, p, radius, [dark, main, bright]) {
-  const r = radius * p.size;
-  const shine = context.createRadialGradient(p.x, p.y - 0.4 * r, 0.1 * r, p.x, p.y, r);
-  shine.addColorStop(0, bright); shine.addColorStop(0.5, main); shine.addColorStop(1, dark);
-  context.fillStyle = shine;
-  context.beginPath();
-  context.arc(p.x, p.y, r, 0, 2 * Math.PI);
-  context.fill();
+  size(width, height) {
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2)); // in the screen's own pixels, so that it is sharp
+    this.renderer.setSize(width, height);
+  }
 }
