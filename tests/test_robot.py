@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from prioritized_ik import InputError, Robot
+from prioritized_ik.errors import ModelError
 
 XML = """
 <mujoco><worldbody><body name="hand"><joint name="turn" type="ball"/><geom size="0.1"/>
@@ -112,3 +113,56 @@ def test_a_missing_or_broken_file_is_one_clear_message(tmp_path):
     (tmp_path / "broken.xml").write_text("<mujoco>")
     with pytest.raises(InputError, match=r"cannot read broken\.xml"):
         Robot(tmp_path / "broken.xml")
+
+
+BARE = """<robot name="bare">
+  <link name="base"/>
+  <link name="arm"><visual><geometry><box size="0.1 0.1 0.4"/></geometry></visual></link>
+  <link name="tool"/>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+  <joint name="weld" type="fixed"><parent link="arm"/><child link="tool"/><origin xyz="0 0 0.4"/></joint>
+</robot>"""
+
+
+def urdf(folder, text):
+    file = folder / "bare.urdf"
+    file.write_text(text, encoding="utf-8")
+    return Robot(file)
+
+
+def test_links_of_a_urdf_without_mass_load_and_its_fixed_links_can_be_named(tmp_path):
+    robot = urdf(tmp_path, BARE)
+    assert robot.names("body") == ["world", "base", "arm", "tool"]
+    np.testing.assert_allclose(robot.position(robot.frame(body="tool")), [0.0, 0.0, 0.4])
+    assert robot.names("joint") == ["turn"]
+
+
+def test_the_shapes_of_a_urdf_are_those_to_collide_with_or_else_those_to_look_at(tmp_path):
+    assert urdf(tmp_path, BARE).model.ngeom == 1
+    ball = "<collision><geometry><sphere radius='0.1'/></geometry></collision></link>"
+    both = urdf(tmp_path, BARE.replace("</visual></link>", f"</visual>{ball}"))
+    assert [int(kind) for kind in both.model.geom_type] == [int(mujoco.mjtGeom.mjGEOM_SPHERE)]
+
+
+def test_what_a_urdf_itself_tells_mujoco_counts(tmp_path):
+    own = "<mujoco><compiler fusestatic='true' discardvisual='true'/></mujoco></robot>"
+    robot = urdf(tmp_path, BARE.replace("</robot>", own))
+    assert robot.names("body") == ["world", "arm"]
+    assert robot.model.ngeom == 0
+
+
+def test_meshes_of_a_urdf_are_found_beside_it_and_in_folders_beside_it(tmp_path):
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], dtype="<f4")
+    faces = [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]
+    content = bytes(80) + np.uint32(4).tobytes()
+    content += b"".join(bytes(12) + corners[list(face)].tobytes() + bytes(2) for face in faces)
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "tip.stl").write_bytes(content)
+    shape = "<visual><geometry><mesh filename='meshes/tip.stl'/></geometry></visual>"
+    assert urdf(tmp_path, BARE.replace('<link name="tool"/>', f'<link name="tool">{shape}</link>')).model.nmesh == 1
+
+
+def test_a_urdf_that_is_no_xml_is_one_error(tmp_path):
+    with pytest.raises(ModelError, match=r"cannot read bare.urdf: no element found"):
+        urdf(tmp_path, "")

@@ -255,6 +255,10 @@ def test_reach_says_which_joint_is_at_its_stop():
 BAD = {
     "dt": (lambda robot: solve_step(robot, [Posture(robot)], dt=0.0), "dt is 0.0"),
     "no task": (lambda robot: solve_step(robot, [3]), "levels hold 3"),
+    "no list of limits": (
+        lambda robot: solve_step(robot, [Posture(robot)], JointRange(robot)),
+        "expected a list of limits",
+    ),
     "no limit": (lambda robot: solve_step(robot, [Posture(robot)], [3]), "limits hold 3"),
     "unknown joint": (lambda robot: Velocity(robot, {"knee": 1.0}), "there is no joint 'knee'"),
     "speed": (lambda robot: Velocity(robot, -1.0), "fastest is -1.0"),

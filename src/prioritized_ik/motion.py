@@ -65,7 +65,7 @@ def build_problem(
     """Return the problem of the next step dθ `(nv,)`, without solving it; see `solve_step`."""
     positive("dt", dt)
     groups = grouped(levels)
-    guards = [_limit(limit).at(robot, dt) for limit in limits]
+    guards = [_limit(limit).at(robot, dt) for limit in _listed(limits)]
     bounds = Bounds.none(robot.model.nv)
     for guard in guards:
         bounds = guard.bounds.intersect(bounds) if guard.bounds is not None else bounds
@@ -157,6 +157,12 @@ def _directions(rows: Array) -> tuple[Array, Array]:
 def _joined_recovery(guards: Sequence[Guarded]) -> list[Rows]:
     rows = [rows for guard in guards for rows in guard.recovery]
     return [Rows.joined(rows, rows[0].matrix.shape[1])] if rows else []
+
+
+def _listed(limits: Sequence[Limit]) -> Sequence[Limit]:
+    if not isinstance(limits, Sequence):
+        raise InputError(f"limits is {limits!r}; expected a list of limits such as JointRange, Velocity and Collision.")
+    return limits
 
 
 def _limit(limit: Limit) -> Limit:

@@ -4,6 +4,7 @@ import fnmatch
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -25,6 +26,15 @@ PLURALS = {"joint": "joints", "body": "bodies", "site": "sites", "geom": "geoms"
 _COUNTS = {"joint": "njnt", "body": "nbody", "site": "nsite", "geom": "ngeom", "keyframe": "nkey"}
 PARTS = ("joint", "body", "site", "geom")  # kinds that are mixed up with each other
 LISTED = 20  # names of a kind in a message; robots have hundreds
+#: How a URDF is read: fixed links, such as a tool's, stay bodies to be named; links without mass get next to none; paths
+#: are relative to the file. Its visual shapes are kept where it has no others: many are in formats that MuJoCo cannot read.
+URDF = {
+    "fusestatic": "false",
+    "boundmass": "1e-6",
+    "boundinertia": "1e-9",
+    "balanceinertia": "true",
+    "strippath": "false",
+}
 LISTED_OTHERS = 6  # names of each other kind
 
 
@@ -259,11 +269,35 @@ def _model_of(file: Path) -> mujoco.MjModel:
     """
     if not file.is_file():
         raise ModelError(f"there is no file {str(file)!r}; expected an MJCF (.xml) or URDF (.urdf) file.")
-    if file.suffix == ".urdf" and "package://" in file.read_text(encoding="utf-8"):
+    try:
+        if file.suffix != ".urdf":
+            return mujoco.MjModel.from_xml_path(str(file))
+        spec = mujoco.MjSpec.from_string(_urdf(file))
+        spec.modelfiledir = str(file.parent)
+        return spec.compile()
+    except (ValueError, ElementTree.ParseError) as error:
+        raise ModelError(f"MuJoCo cannot read {file.name}: {error}") from error
+
+
+def _urdf(file: Path) -> str:
+    """Return a URDF with what MuJoCo is to make of it, unless its own `<mujoco><compiler>` says otherwise.
+
+    Raises:
+        ModelError: it has `package://` paths.
+    """
+    text = file.read_text(encoding="utf-8")
+    if "package://" in text:
         raise ModelError(
             f"{file.name} has package:// paths, which only ROS can resolve; replace them by paths relative to the file."
         )
-    try:
-        return mujoco.MjModel.from_xml_path(str(file))
-    except ValueError as error:
-        raise ModelError(f"MuJoCo cannot read {file.name}: {error}") from error
+    root = ElementTree.fromstring(text)
+    extension = root.find("mujoco")
+    if extension is None:
+        extension = ElementTree.Element("mujoco")
+        root.insert(0, extension)
+    compiler = extension.find("compiler")
+    if compiler is None:
+        compiler = ElementTree.SubElement(extension, "compiler")
+    for name, value in (URDF | {"discardvisual": str("<collision" in text).lower()}).items():
+        compiler.attrib.setdefault(name, value)
+    return ElementTree.tostring(root, encoding="unicode")
