@@ -83,6 +83,10 @@ from .winding.settings import WindingSettings as WindingSettings
 from .winding.episode import Episode as Episode
 from .winding.episode import wind as wind
 from .winding.metrics import measure as measure
+from .winding.own_robot import RobotWinding as RobotWinding
+from .winding.own_robot import WoundRobot as WoundRobot
+from .winding.own_robot import wind_robot as wind_robot
+from .winding.own_robot import measure_robot as measure_robot
 
 # errors
 from .errors import PrioritizedIkError as PrioritizedIkError

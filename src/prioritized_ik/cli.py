@@ -5,11 +5,15 @@ Nothing heavy is imported before a command runs, so that `--help` answers at onc
 
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from prioritized_ik.errors import PrioritizedIkError
+
+if TYPE_CHECKING:
+    from prioritized_ik.winding.loop import Outcome
+    from prioritized_ik.winding.metrics import WindingMetrics
 
 DISAGREES, BAD_INPUT = 1, 2  # exit codes
 
@@ -121,6 +125,10 @@ def solve(
 
 
 @main.command()
+@click.option("--scene", type=click.Path(path_type=Path), help="Your own robot and object (.xml, .urdf), see docs.")
+@click.option("--object", "wound", default="object", help="Geom of --scene to wind around.")
+@click.option("--tip", help="Last body of the chain of --scene that winds.  [default: the model's last]")
+@click.option("--keyframe", help="Keyframe of --scene to start from.")
 @click.option("--direction", default="up", help="Where the object comes from: up, down, front or back.")
 @click.option("--solver", default="active-set", help="A method, or a QP solver for lexicographic:SOLVER; see `solvers`.")
 @click.option("--formulation", hidden=True, help="Old spelling: `--solver proxqp --formulation damped` is damped:proxqp.")
@@ -138,6 +146,10 @@ def solve(
 @click.option("--save", type=click.Path(dir_okay=False), help="Save the episode to this .npz file.")
 @click.option("--record", type=click.Path(dir_okay=False), help="Picture of the end (.png), or film (.gif, .webp, .mp4).")
 def wind(
+    scene: Path | None,
+    wound: str,
+    tip: str | None,
+    keyframe: str | None,
     direction: str,
     solver: str,
     formulation: str | None,
@@ -155,7 +167,10 @@ def wind(
     save: str | None,
     record: str | None,
 ) -> None:
-    """Wind the arm around an object by touch alone, and print how it went."""
+    """Wind an arm around an object by touch alone, and print how it went: the paper's, or with --scene your own.
+
+    Exit codes: 0 it is wound; 1 it is not; 2 bad usage or input.
+    """
     from click.core import ParameterSource
     from threadpoolctl import threadpool_limits
 
@@ -164,11 +179,14 @@ def wind(
     from prioritized_ik.solvers.lexicographic import SolveOptions
     from prioritized_ik.solvers.registry import LEXICOGRAPHIC, old_name
     from prioritized_ik.validation import one_of, positive
-    from prioritized_ik.winding.episode import Outcome
     from prioritized_ik.winding.episode import wind as run
     from prioritized_ik.winding.metrics import ROUND_SHAPES, measure
     from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
+    if scene is None:
+        _refuse(OF_OWN_ROBOT, "is of --scene, which is missing: give the file of your robot")
+    else:
+        _refuse(OF_PAPERS_ARM, "is of the paper's arm: leave it out with --scene")
     one_of("shape", shape, ROUND_SHAPES)
     radius = positive("diameter", diameter) / 2.0
     if save is not None:
@@ -183,6 +201,17 @@ def wind(
         unnamed = click.get_current_context().get_parameter_source("solver") is ParameterSource.DEFAULT
         solver = old_name("daqp" if unnamed and formulation != LEXICOGRAPHIC else solver, formulation)
     free = solver == CLOSED_FORM  # the closed form knows no limits
+    control: dict[str, Any] = {
+        "weights": weights,
+        "limits": limits and not free,
+        "contacts": contacts and not free,
+        "max_steps": steps,
+        "solver": solver,
+        "options": SolveOptions(rank_tolerance=RANK_TOLERANCE),
+    }
+    if scene is not None:
+        _wind_own_robot(scene, keyframe, {"tip": tip, "wound": wound, **control}, save, record)
+        return
     settings = WindingSettings(
         arm=Arm(links=links),
         shape=shape,
@@ -192,25 +221,11 @@ def wind(
         tilt=tilt,
         posture=posture,
         seed=seed,
-        weights=weights,
-        limits=limits and not free,
-        contacts=contacts and not free,
-        max_steps=steps,
-        solver=solver,
-        options=SolveOptions(rank_tolerance=RANK_TOLERANCE),
+        **control,
     )
     with threadpool_limits(1):  # matrices this small only lose by more
         episode = run(settings)
-    metrics = measure(episode)
-    click.echo(f"outcome      {episode.outcome.value}")
-    if episode.message:
-        click.echo(f"             {episode.message}")
-    click.echo(f"steps        {metrics.steps}")
-    of_ideal = "" if metrics.turns_ratio is None else f" ({metrics.turns_ratio:.3f} of the ideal)"
-    click.echo(f"turns        {metrics.turns:.3f}{of_ideal}")
-    click.echo(f"penetration  {metrics.penetration * 1e3:.2f} mm")
-    click.echo(f"bend         {metrics.bend:.3f} rad")
-    click.echo(f"drift        {metrics.drift * 1e3:.2f} mm")
+    _tell_winding(episode.outcome, episode.message, measure(episode))
     if save is not None:
         episode.save(save)
         click.echo(f"saved        {save}")
@@ -219,7 +234,71 @@ def wind(
 
         draw(episode, record)
         click.echo(f"recorded     {record}")
-    if episode.outcome is not Outcome.WOUND:
+    _end_winding(episode.outcome)
+
+
+#: Options of `wind` that go with one kind of robot alone.
+OF_PAPERS_ARM = ("direction", "links", "link", "shape", "diameter", "tilt", "posture", "seed")
+OF_OWN_ROBOT = ("wound", "tip", "keyframe")
+FRAMES = 60  # of a film of one's own robot
+
+
+def _refuse(names: tuple[str, ...], why: str) -> None:
+    from click.core import ParameterSource
+
+    from prioritized_ik.errors import InputError
+
+    context = click.get_current_context()
+    given = [name for name in names if context.get_parameter_source(name) is not ParameterSource.DEFAULT]
+    if given:
+        option = "object" if given[0] == "wound" else given[0]
+        raise InputError(f"--{option} {why}.")
+
+
+def _wind_own_robot(
+    scene: Path, keyframe: str | None, control: dict[str, Any], save: str | None, record: str | None
+) -> None:
+    from threadpoolctl import threadpool_limits
+
+    from prioritized_ik.robot import Robot
+    from prioritized_ik.winding.own_robot import RobotWinding, measure_robot, wind_robot
+
+    robot = Robot(scene)
+    if keyframe is not None:
+        robot.update(robot.keyframe(keyframe))
+    with threadpool_limits(1):  # matrices this small only lose by more
+        wound = wind_robot(RobotWinding(model=robot.model, q=robot.q, **control))
+    _tell_winding(wound.outcome, wound.message, measure_robot(wound))
+    if save is not None:
+        wound.recording().save(save)
+        click.echo(f"saved        {save}")
+    if record is not None:
+        from prioritized_ik.viewer.film import Film
+
+        with Film(record, robot) as film:
+            for number in range(0, len(wound.q) + FRAMES, max(1, len(wound.q) // FRAMES)):
+                robot.update(wound.q[min(number, len(wound.q) - 1)])
+                film.add()
+        click.echo(f"recorded     {record}")
+    _end_winding(wound.outcome)
+
+
+def _tell_winding(outcome: "Outcome", message: str, metrics: "WindingMetrics") -> None:
+    click.echo(f"outcome      {outcome.value}")
+    if message:
+        click.echo(f"             {message}")
+    click.echo(f"steps        {metrics.steps}")
+    of_ideal = "" if metrics.turns_ratio is None else f" ({metrics.turns_ratio:.3f} of the ideal)"
+    click.echo(f"turns        {metrics.turns:.3f}{of_ideal}")
+    click.echo(f"penetration  {metrics.penetration * 1e3:.2f} mm")
+    click.echo(f"bend         {metrics.bend:.3f} rad")
+    click.echo(f"drift        {metrics.drift * 1e3:.2f} mm")
+
+
+def _end_winding(outcome: "Outcome") -> None:
+    from prioritized_ik.winding.loop import Outcome
+
+    if outcome is not Outcome.WOUND:
         raise SystemExit(DISAGREES)
 
 

@@ -20,7 +20,7 @@ from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.touch import TouchSensor
 from prioritized_ik.validation import LARGEST, Array
 from prioritized_ik.virtual_arms import VirtualArms
-from prioritized_ik.winding.settings import WindingSettings
+from prioritized_ik.winding.settings import Control
 
 SAME = 1e-9  # [m] and of unit vectors: what the two forms may differ by at the first look; rounding is a millionth of it
 
@@ -67,7 +67,7 @@ class Scene(ctypes.Structure):
 class Parts(NamedTuple):
     """What a winding controller is made of; `links` are the bodies of the links `(n,)`, `margin` that of contact rows."""
 
-    settings: WindingSettings
+    settings: Control
     data: mujoco.MjData
     arms: VirtualArms
     sensor: TouchSensor
@@ -84,7 +84,7 @@ class CompiledLook:
         assert functions is not None
         settings, data, arms, sensor, links, margin = parts
         model = sensor.model
-        n, m = settings.arm.links, model.nv
+        n, m = arms.count, model.nv
         self._core_observe, self._core_pose = core.core_scene_observe, core.core_scene_pose
         joints, low, high = scalar_ranges(model)
         self._q, self._was = np.zeros(model.nq), np.zeros(n, dtype=bool)
@@ -93,6 +93,7 @@ class CompiledLook:
         self._jacobian, self._bounds = np.zeros((3 * n, m)), np.zeros((2, m))
         self._rows, self._sides, self._near = np.zeros((n, m)), np.zeros(n), np.zeros(n, dtype=np.int32)
         self._joint_names = joint_names(model)
+        self._wound = sensor.object_name
         self._row_names: dict[bytes, tuple[str, ...]] = {}
         kept: dict[str, NDArray[Any]] = {
             "geoms": np.array(sensor.links, dtype=np.int32),
@@ -178,7 +179,9 @@ class CompiledLook:
         near = self._near[:count].tobytes()
         names = self._row_names.get(near)
         if names is None:
-            names = self._row_names[near] = tuple(contact_row_name(link + 1) for link in self._near[:count].tolist())
+            names = self._row_names[near] = tuple(
+                contact_row_name(link + 1, self._wound) for link in self._near[:count].tolist()
+            )
         return (
             self._jacobian.copy(),
             self._desired.copy(),

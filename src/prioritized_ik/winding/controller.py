@@ -4,21 +4,19 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.late import Late
 from prioritized_ik.limits import CONTACT_MARGIN, contact_rows, joint_range_bounds, step_bounds
-from prioritized_ik.models import update_kinematics
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows, trusted_level, trusted_problem
-from prioritized_ik.touch import Touch, TouchSensor, update_contact
+from prioritized_ik.touch import Touch, update_contact
 from prioritized_ik.validation import Array, read_only
-from prioritized_ik.virtual_arms import VirtualArms
 from prioritized_ik.weights import diagonal_of_weights, winding_priorities, winding_weights
+from prioritized_ik.winding.chain import Chain
 from prioritized_ik.winding.compiled import Parts, compiled_look, parts_of, same_look
 from prioritized_ik.winding.plan import driven_arms, first_and_last_in_contact, plan
-from prioritized_ik.winding.settings import WindingSettings
+from prioritized_ik.winding.settings import Control, WindingSettings
 
 AXES = 3  # rows of one virtual arm: x, y, z
 
@@ -86,29 +84,33 @@ class SeenByCore(Situation):
         return parts | {"touch": touch}
 
 
-class WindingController:
+class ChainController:
     """Winds by touch alone: it reads the arm's posture and contacts, never the object's size or place.
 
     Looks and problems come from the compiled core where it can be had, see `compiled.py`.
 
-    Attributes:
+    Args:
         settings: of the episode.
-        model, data: arm and object.
-        arms: the virtual arms.
+        chain: what winds.
+
+    Attributes:
+        settings: see above.
+        chain: see above.
+        model, data: of its robot.
+        arms: its virtual arms.
         sensor: of touch; it reaches no further than contact rows and contacts need.
     """
 
-    def __init__(self, settings: WindingSettings) -> None:
-        self.settings = settings
-        self.model = settings.model()
-        self.data = mujoco.MjData(self.model)
-        arm = settings.arm
-        self.arms = VirtualArms(self.model, arm.end_sites)
-        self.sensor = TouchSensor(self.model, arm.link_geoms, reach=max(CONTACT_MARGIN, 2.0 * settings.release_distance))
-        self._links = np.array([self.model.body(name).id for name in arm.link_geoms])
+    settings: Control
+
+    def __init__(self, settings: Control, chain: Chain) -> None:
+        self.settings, self.chain = settings, chain
+        self.model, self.data = chain.robot.model, chain.robot.data
+        self.arms, self.sensor = chain.arms, chain.sensor
         self._groups: dict[int, tuple[RowGroup, ...]] = {}  # by k
         self._step_bounds = step_bounds(self.model, settings.max_step)
-        self._compiled = compiled_look(Parts(settings, self.data, self.arms, self.sensor, self._links, CONTACT_MARGIN))
+        parts = Parts(settings, self.data, self.arms, self.sensor, chain.bodies, CONTACT_MARGIN)
+        self._compiled = compiled_look(parts) if chain.lies_along_x else None
         self._is_checked = False
         self._seen: Situation | None = None  # what the core saw last
 
@@ -137,10 +139,10 @@ class WindingController:
 
     def _observed(self, q: Array, was_in_contact: NDArray[np.bool_]) -> Situation:
         settings = self.settings
-        update_kinematics(self.model, self.data, q)
+        self.chain.robot.update(q)
         touch = self.sensor.read(self.data)
         in_contact = update_contact(was_in_contact, touch.distance, settings.contact_distance, settings.release_distance)
-        directions = self.data.xmat[self._links, ::3]
+        directions = self.chain.directions()
         contact_vectors = np.where(in_contact[:, None], touch.normal, 0.0)
         first, last = first_and_last_in_contact(in_contact)
         desired, signs = plan(
@@ -192,10 +194,19 @@ class WindingController:
     def _groups_after(self, k: int) -> tuple["RowGroup", ...]:
         """Return each level's rows where k is the last link in contact."""
         if k not in self._groups:
-            n, kind = self.settings.arm.links, self.settings.weights
+            n, kind = self.chain.count, self.settings.weights
             weights = diagonal_of_weights(winding_weights(k, n, kind), AXES)
             self._groups[k] = row_groups(weights, np.repeat(winding_priorities(k, n, kind), AXES))
         return self._groups[k]
+
+
+class WindingController(ChainController):
+    """That of the paper's arm and object, as `WindingSettings` have them."""
+
+    settings: WindingSettings
+
+    def __init__(self, settings: WindingSettings) -> None:
+        super().__init__(settings, settings.chain())
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ and outcome, so that any solver can be run on the same problems later; a saved e
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from enum import Enum
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -17,24 +16,16 @@ from prioritized_ik.errors import EpisodeFileError, InputError
 from prioritized_ik.files import UNREADABLE, advising, write_whole
 from prioritized_ik.limits import contact_row_name
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
-from prioritized_ik.solvers.methods import Method, Place
+from prioritized_ik.solvers.methods import Method
 from prioritized_ik.solvers.registry import get_method
-from prioritized_ik.solvers.solve import step_of
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.validation import Array, read_only
-from prioritized_ik.winding.controller import Equilibrium, WindingController, levels_of
+from prioritized_ik.winding.controller import WindingController, levels_of
+from prioritized_ik.winding.loop import Outcome as Outcome
+from prioritized_ik.winding.loop import moments
 from prioritized_ik.winding.settings import WindingSettings
 
 FORMAT = "prioritized-ik episode 4"
-
-
-class Outcome(Enum):
-    """How an episode ended."""
-
-    WOUND = "equilibrium [1]: every link from k on is in contact"
-    LOST = "equilibrium [2]: no link is in contact"
-    OUT_OF_STEPS = "no equilibrium within max_steps"
-    SOLVER_FAILED = "the solver gave no step, so the arm stopped"
 
 
 @dataclass(frozen=True)
@@ -197,40 +188,27 @@ def wind(
         InputError: the initial posture is outside the joint ranges.
     """
     method = method or get_method(settings.solver, settings.options.accuracy)
-    controller = WindingController(settings)
     n, m = settings.arm.links, settings.arm.joint_count
-    q, in_contact = settings.initial_posture(), np.zeros(n, dtype=bool)
     states: list[dict[str, Any]] = []
     steps: list[dict[str, Any]] = []
-    outcome, message = Outcome.OUT_OF_STEPS, ""
-    while True:
-        situation = controller.observe(q, in_contact)
-        in_contact = situation.in_contact
+    for moment in moments(WindingController(settings), method, settings.initial_posture()):
+        situation = moment.situation
         states.append(
             {
-                "q": q,
+                "q": moment.q,
                 "positions": situation.positions,
                 "directions": situation.directions,
                 "distance": situation.touch.distance,
-                "in_contact": in_contact,
+                "in_contact": situation.in_contact,
                 "contact_vectors": situation.contact_vectors,
                 "signs": situation.signs,
             }
         )
-        if situation.equilibrium is not None:
-            outcome = Outcome.WOUND if situation.equilibrium is Equilibrium.WINDING else Outcome.LOST
-            break
-        if len(steps) == settings.max_steps:
-            break
-        problem = controller.problem(q, situation)
-        step = step_of(method, problem, settings.options, Place(q, settings))
-        steps.append(_record(problem, step, n))
-        if on_step is not None:
-            on_step(len(steps))
-        if step.dtheta is None:
-            outcome, message = Outcome.SOLVER_FAILED, f"{step.status.value}. {step.message}"
-            break
-        q = q + step.dtheta
+        if moment.problem is not None and moment.step is not None:
+            steps.append(_record(moment.problem, moment.step, n))
+            if on_step is not None:
+                on_step(len(steps))
+    outcome, message = moment.ending
     if outcome is Outcome.SOLVER_FAILED:
         states.append(states[-1])
     arrays = {name: read_only(np.array([state[name] for state in states])) for name in states[0]}

@@ -6,8 +6,10 @@ the contact vectors reversed. What counts is how far the wound links went round 
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prioritized_ik.validation import Array
 from prioritized_ik.winding.episode import Episode
@@ -88,7 +90,19 @@ def bends(directions: Array) -> Array:
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.einsum("...i,...i->...", a, b))
 
 
-def drift(episode: Episode) -> float:
+class Wound(Protocol):
+    """What `drift` looks at: an `Episode`, or what came of another robot."""
+
+    @property
+    def positions(self) -> Array:
+        """Ends of the links `(T + 1, n, 3)` [m]."""
+
+    @property
+    def in_contact(self) -> NDArray[np.bool_]:
+        """M `(T + 1, n)`."""
+
+
+def drift(episode: Wound) -> float:
     """Return the largest motion [m] of a link's end after its link first belonged to the wound ones."""
     worst = 0.0
     wound_at: dict[int, Array] = {}

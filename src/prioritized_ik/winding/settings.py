@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 
 from prioritized_ik.errors import InputError
+from prioritized_ik.limits import CONTACT_MARGIN
 from prioritized_ik.models import (
     DIRECTIONS,
     POSTURES,
@@ -22,25 +23,17 @@ from prioritized_ik.solvers.methods import ClosedForm
 from prioritized_ik.solvers.registry import DEFAULT
 from prioritized_ik.validation import Array, at_least, non_negative, one_of, positive
 from prioritized_ik.weights import KINDS
+from prioritized_ik.winding.chain import Chain
 from prioritized_ik.winding.plan import DEAD_BAND
 
 CLOSED_FORM = ClosedForm.name
 
 
 @dataclass(frozen=True)
-class WindingSettings:
-    """Settings of one winding episode. Where the paper states nothing, the default is a choice of this project.
+class Control:
+    """How to wind, whatever winds around whatever. Where the paper states nothing, the default is a choice of this project.
 
     Attributes:
-        arm: the arm; the paper's.
-        shape: the object's shape, a key of `models.SHAPES`; the paper's is a cylinder of 0.14 m diameter.
-        size: its half-sizes [m].
-        direction: where it comes from (Fig. 6).
-        link: k, the link that it touches at first (not stated).
-        tilt: turn of its axis about the contact normal [rad] (not stated; 0 winds a ring).
-        gap: distance between object and link at the start [m] (not stated).
-        posture: initial posture (not stated).
-        seed: of a random posture.
         weights: `"eq23"`, `"eq24"`, or `"strict"`: levels in place of weights.
         speed: η = 2 [m/s].
         dt: time step [s] (not stated).
@@ -58,15 +51,6 @@ class WindingSettings:
         options: how to solve; the rank is cut at 1e-4, see `closed_form.RANK_TOLERANCE`.
     """
 
-    arm: Arm = field(default_factory=Arm)
-    shape: str = "cylinder"
-    size: tuple[float, ...] = (0.07, 0.5)
-    direction: str = "up"
-    link: int = 6
-    tilt: float = 0.0
-    gap: float = 1e-3
-    posture: str = "straight"
-    seed: int = 0
     weights: str = "eq23"
     speed: float = 2.0
     dt: float = 2e-3
@@ -83,17 +67,11 @@ class WindingSettings:
     options: SolveOptions = field(default_factory=lambda: SolveOptions(rank_tolerance=RANK_TOLERANCE))
 
     def __post_init__(self) -> None:
-        one_of("direction", self.direction, DIRECTIONS)
-        one_of("posture", self.posture, POSTURES)
         one_of("weights", self.weights, KINDS)
-        if at_least("link", self.link, 1) >= self.arm.links:
-            raise InputError(f"link is {self.link}; expected 1 to {self.arm.links - 1}, so that a link is left to wind.")
         for name in ("speed", "dt", "contact_distance", "release_distance", "max_step"):
             positive(name, getattr(self, name))
-        for name in ("gap", "dead_band", "min_distance"):
+        for name in ("dead_band", "min_distance"):
             non_negative(name, getattr(self, name))
-        if not isinstance(self.tilt, int | float) or not abs(self.tilt) < 1.2:
-            raise InputError(f"tilt is {self.tilt!r}; expected less than 1.2 rad to either side.")
         if not 0.0 < self.contact_gain <= 1.0:
             raise InputError(f"contact_gain is {self.contact_gain!r}; expected a number above 0 and up to 1.")
         if self.release_distance < self.contact_distance:
@@ -107,11 +85,53 @@ class WindingSettings:
                 "no link could ever make contact."
             )
         at_least("max_steps", self.max_steps, 1)
-        at_least("seed", self.seed, 0)
         if not isinstance(self.solver, str):
             raise InputError(f"solver is {self.solver!r}; expected the name of one.")
         if self.solver == CLOSED_FORM and (self.limits or self.contacts):
             raise InputError("the closed form knows no limits or contacts; set both to False, or choose a QP solver.")
+
+    @property
+    def reach(self) -> float:
+        """How far links need to feel the object, for contact and its rows [m]."""
+        return max(CONTACT_MARGIN, 2.0 * self.release_distance)
+
+
+@dataclass(frozen=True)
+class WindingSettings(Control):
+    """Settings of one winding episode of the paper's arm: `Control`, and the arm and object themselves.
+
+    Attributes:
+        arm: the arm; the paper's.
+        shape: the object's shape, a key of `models.SHAPES`; the paper's is a cylinder of 0.14 m diameter.
+        size: its half-sizes [m].
+        direction: where it comes from (Fig. 6).
+        link: k, the link that it touches at first (not stated).
+        tilt: turn of its axis about the contact normal [rad] (not stated; 0 winds a ring).
+        gap: distance between object and link at the start [m] (not stated).
+        posture: initial posture (not stated).
+        seed: of a random posture.
+    """
+
+    arm: Arm = field(default_factory=Arm)
+    shape: str = "cylinder"
+    size: tuple[float, ...] = (0.07, 0.5)
+    direction: str = "up"
+    link: int = 6
+    tilt: float = 0.0
+    gap: float = 1e-3
+    posture: str = "straight"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        one_of("direction", self.direction, DIRECTIONS)
+        one_of("posture", self.posture, POSTURES)
+        if at_least("link", self.link, 1) >= self.arm.links:
+            raise InputError(f"link is {self.link}; expected 1 to {self.arm.links - 1}, so that a link is left to wind.")
+        non_negative("gap", self.gap)
+        if not isinstance(self.tilt, int | float) or not abs(self.tilt) < 1.2:
+            raise InputError(f"tilt is {self.tilt!r}; expected less than 1.2 rad to either side.")
+        at_least("seed", self.seed, 0)
         self.wound_object()
 
     def initial_posture(self) -> Array:
@@ -132,6 +152,10 @@ class WindingSettings:
     def model(self) -> mujoco.MjModel:
         """Return the model of arm and object."""
         return winding_model(self.arm, self.wound_object())
+
+    def chain(self) -> Chain:
+        """Return the arm that winds, beside the object."""
+        return Chain.of_arm(self.arm, self.model(), self.reach)
 
     def to_json(self) -> str:
         """Return the settings as JSON."""
