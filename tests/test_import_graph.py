@@ -25,7 +25,7 @@ LAYERS = [
     {"recording"},
     {"robot"},
     {"tasks", "guard", "examples"},
-    {"joint_limits", "collision", "support"},
+    {"joint_limits", "collision", "support", "model_equalities"},
     {"solvers"},
     {"motion"},
     {"reaching"},

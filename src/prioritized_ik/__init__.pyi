@@ -44,6 +44,7 @@ from .joint_limits import Acceleration as Acceleration
 from .joint_limits import JointRange as JointRange
 from .joint_limits import Velocity as Velocity
 from .collision import Collision as Collision
+from .model_equalities import ModelEqualities as ModelEqualities
 from .support import SupportPolygon as SupportPolygon
 
 # solve

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.problem import Bounds, Rows
+from prioritized_ik.problem import Bounds, Equalities, Rows
 from prioritized_ik.robot import Robot
 from prioritized_ik.validation import Array, positive
 
@@ -24,11 +24,13 @@ class Guarded:
         bounds: hard bounds; dθ = 0 keeps them, unless the limit is broken and may not be.
         rows: hard rows, likewise.
         recovery: soft rows above all tasks, which bring back what is outside.
+        equalities: hard rows that take back no more than drift.
     """
 
     bounds: Bounds | None = None
     rows: Rows | None = None
     recovery: tuple[Rows, ...] = field(default=())
+    equalities: Equalities | None = None
 
 
 class Limit(ABC):

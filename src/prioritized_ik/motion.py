@@ -8,7 +8,7 @@ import numpy as np
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.guard import Guarded, Limit
-from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
+from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.robot import Robot
 from prioritized_ik.solvers.explain import Concession, explain
 from prioritized_ik.solvers.methods import DAMPING, Method
@@ -69,11 +69,13 @@ def build_problem(
     bounds = Bounds.none(robot.model.nv)
     for guard in guards:
         bounds = guard.bounds.intersect(bounds) if guard.bounds is not None else bounds
+    fixed = _together([guard.equalities for guard in guards if guard.equalities is not None], robot.model.nv)
     recovery = [Level(rows.matrix, rows.upper, name=RECOVERY, kind="at_most") for rows in _joined_recovery(guards)]
     return IKProblem(
-        [*recovery, *_task_levels(robot, groups, non_negative("damping", damping))],
+        [*recovery, *_task_levels(robot, groups, non_negative("damping", damping), fixed)],
         bounds,
         Rows.joined([guard.rows for guard in guards if guard.rows is not None], robot.model.nv),
+        equalities=fixed,
         metric=robot.metric,
     )
 
@@ -113,9 +115,9 @@ def solve_step(
     return Motion(step.dtheta / dt, step, problem)
 
 
-def _task_levels(robot: Robot, groups: list[list[Task]], damping: float) -> Iterator[Level]:
+def _task_levels(robot: Robot, groups: list[list[Task]], damping: float, fixed: Equalities) -> Iterator[Level]:
     shared, root = 0.0, np.sqrt(robot.metric)
-    left = np.eye(robot.model.nv)  # what the levels above leave free
+    _, left = _directions(fixed.matrix / root)  # what equalities and the levels above leave free
     for number, tasks in enumerate(groups, 1):
         if not tasks:
             continue
@@ -163,6 +165,16 @@ def _listed(limits: Sequence[Limit]) -> Sequence[Limit]:
     if not isinstance(limits, Sequence):
         raise InputError(f"limits is {limits!r}; expected a list of limits such as JointRange, Velocity and Collision.")
     return limits
+
+
+def _together(parts: Sequence[Equalities], m: int) -> Equalities:
+    if len(parts) <= 1:
+        return parts[0] if parts else Equalities.none(m)
+    return Equalities(
+        np.vstack([part.matrix for part in parts]),
+        np.concatenate([part.target for part in parts]),
+        [name for part in parts for name in part.names],
+    )
 
 
 def _limit(limit: Limit) -> Limit:
