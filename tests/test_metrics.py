@@ -181,6 +181,7 @@ def reversed_contact(monkeypatch):
         return right(directions, -contact_vectors, in_contact, **options)
 
     monkeypatch.setattr(controller, "plan", plan)
+    monkeypatch.setattr(controller, "compiled_look", lambda parts: None)  # which plans by itself
 
 
 @pytest.mark.usefixtures("reversed_contact")
