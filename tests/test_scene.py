@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import comparisons
 import prioritized_ik as pik
 from prioritized_ik.cli import main
 from prioritized_ik.guard import Limit
@@ -117,6 +118,18 @@ def test_every_task_and_limit_of_the_package_has_a_kind() -> None:
     public = [getattr(pik, name) for name in pik.__all__ if isinstance(getattr(pik, name), type)]
     assert {kind for kind in public if issubclass(kind, Task) and kind is not Task} <= set(TASKS.values())
     assert {kind for kind in public if issubclass(kind, Limit) and kind is not Limit} <= set(LIMITS.values())
+
+
+def test_a_closed_loop_of_the_model_stays_closed(tmp_path: Path) -> None:
+    file = Path(comparisons.__file__).parent / "data" / "robots" / "four_bar.xml"
+    robot = pik.Robot(file)
+    turned = robot.q + 0.3 * np.eye(robot.model.nq)[0]
+    scene = {"example": None, "q": None, "model": str(file), "task": [{"kind": "posture", "target": turned.tolist()}]}
+    for limits, closed in (([{"kind": "model-equalities"}], True), ([], False)):
+        run = loaded(tmp_path, **scene, limit=limits).run()
+        robot.update(run.q[-1])
+        assert (max(pik.ModelEqualities(robot).drift(robot).values()) < 1e-6) == closed
+        assert abs(run.q[-1, 0] - run.q[0, 0]) > 0.05
 
 
 def test_every_kind_is_in_the_documentation() -> None:

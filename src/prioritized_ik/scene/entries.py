@@ -13,6 +13,7 @@ from prioritized_ik.collision import Collision
 from prioritized_ik.errors import InputError, SolverUnavailableError
 from prioritized_ik.guard import Limit
 from prioritized_ik.joint_limits import Acceleration, JointRange, Velocity
+from prioritized_ik.model_equalities import ModelEqualities
 from prioritized_ik.robot import Frame, Robot
 from prioritized_ik.support import SupportPolygon
 from prioritized_ik.tasks.arms import VirtualArmsTask
@@ -49,6 +50,7 @@ LIMITS: dict[str, type[Limit]] = {
     "acceleration": Acceleration,
     "collision": Collision,
     "support-polygon": SupportPolygon,
+    "model-equalities": ModelEqualities,
 }
 
 
