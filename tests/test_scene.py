@@ -21,6 +21,7 @@ from prioritized_ik.guard import Limit
 from prioritized_ik.motion import build_problem
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.scene.entries import LIMITS, TASKS, arguments_of
+from prioritized_ik.scene.task_file import KEYS
 from prioritized_ik.solvers import registry
 from prioritized_ik.solvers.methods import Method
 from prioritized_ik.solvers.step import JointStep, StepStatus
@@ -304,6 +305,17 @@ def test_a_keyframe_is_a_start(tmp_path: Path) -> None:
         loaded(tmp_path, example=None, q=[0.1], model="robot.xml", keyframe="home", task=[task])
 
 
+def test_joints_start_where_they_are_said_to_by_name(tmp_path: Path) -> None:
+    changed = loaded(tmp_path, joints={"elbow": 0.8, "base": -0.1}).q
+    assert changed.tolist() == [-0.1, 0.5, 0.2, 0.8, 0.1, 0.6, 0.0]
+    standing = {"example": "humanoid", "q": None, "task": [{"kind": "posture"}]}
+    bent = loaded(tmp_path, **standing, joints={"left knee": 0.8})
+    assert bent.q[bent.model.joint("left knee").qposadr[0]] == 0.8
+    assert np.count_nonzero(bent.q != bent.model.qpos0) == 1
+    with pytest.raises(pik.InputError, match="joint 'float' is a ball or free joint"):
+        loaded(tmp_path, **standing, joints={"float": 0.8})
+
+
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "unknown key": ({"durations": 1.0}, r"unknown key 'durations'; expected some of: duration, "),
     "unknown kind": ({"task": [{"kind": "positions"}]}, "task 1: unknown kind 'positions'; choose one of: position, "),
@@ -345,6 +357,9 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "level zero": ({"task": [{**HAND, "level": 0}]}, "task 1: level is 0"),
     "dt": ({"dt": 0}, "dt is 0; expected a finite number above 0"),
     "duration shorter than a step": ({"duration": 0.001}, "expected at least one step"),
+    "start of no joint": ({"joints": {"knee": 1.0}}, "there is no joint 'knee'"),
+    "start that is no number": ({"joints": {"elbow": "bent"}}, "start of elbow is not an array of numbers"),
+    "starts that are no table": ({"joints": [1.0]}, r"joints is \[1.0\]; expected a table"),
     "q of nv and more": ({"q": [0.0] * 8}, r"q has shape \(8,\); .* nq = 7 positions and nv = 7"),
     "ragged q": ({"q": [[0], [0, 1]]}, "q is not an array"),
     "joint that does not exist": (
@@ -404,8 +419,7 @@ def places() -> Iterator[tuple[str, str]]:
         for kind, made in kinds.items():
             keys = ["kind", *arguments_of(made), *(["level", "times", "targets"] if table == "task" else [])]
             yield from ((f"{table} {kind}", key) for key in keys)
-    yield from (("", key) for key in ("model", "example", "keyframe", "q", "dt", "duration", "required", "tolerance",
-                                      "damping", "solver", "task", "limit"))  # fmt: skip
+    yield from (("", key) for key in KEYS)
 
 
 @settings(max_examples=400, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -13,7 +13,7 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.guard import Limit
 from prioritized_ik.motion import build_problem
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.reaching import Ending, ending_after, errors_of
+from prioritized_ik.reaching import REST, Ending, ending_after, errors_of
 from prioritized_ik.recording import Recording
 from prioritized_ik.robot import Robot
 from prioritized_ik.scene.entries import AimedTask, LimitEntry, TaskEntry, placed
@@ -24,7 +24,6 @@ from prioritized_ik.solvers.registry import DEFAULT, get_method
 from prioritized_ik.solvers.solve import step_of
 from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.tasks.task import Task
-from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array, at_least, non_negative, positive, read_only
 
 
@@ -222,6 +221,7 @@ class SceneRun:
 
     def told(self) -> str:
         """Return what there is to know of it, in lines for people."""
+        least = REST * self.scene.tolerance  # less than that is rounding, of a robot at rest
         held = f", held back by {', '.join(self.held_by)}" if self.held_by else ""
         lines = [
             f"ended    {self.ending.name}: {self.ending.value}{held}",
@@ -234,7 +234,7 @@ class SceneRun:
         for number, names in enumerate(self.levels, 1):
             for name in names:
                 lines.append(f"{number:>5}  {name:<32}  {self.errors[name]:>16.2g}  {self.largest_errors[name]:>8.2g}")
-        return "\n".join([*lines, "", *(str(one) for one in self.report if one.gave_way and one.error > ROUNDING)]).rstrip()
+        return "\n".join([*lines, "", *(str(one) for one in self.report if one.gave_way and one.error > least)]).rstrip()
 
     def to_json(self) -> dict[str, Any]:
         """Return what is known of it, as JSON takes it."""

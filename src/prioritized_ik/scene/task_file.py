@@ -2,6 +2,7 @@
 
     model = "robot.xml"         # MJCF or URDF, from the file's folder; or example = "arm"
     keyframe = "home"           # where the robot starts; or q = [...]; the model's own position unless given
+    joints = {elbow = 0.5}      # of it, hinges and slides that start elsewhere [rad, m]
     dt = 0.01                   # [s]
     duration = 2.0              # [s]
 
@@ -23,16 +24,20 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import mujoco
+
 from prioritized_ik.errors import InputError
 from prioritized_ik.examples import example
 from prioritized_ik.files import advising
 from prioritized_ik.robot import Robot
 from prioritized_ik.scene.entries import WAY_POINTS, LimitEntry, TaskEntry, check_keys, placed
 from prioritized_ik.scene.scene import Scene
-from prioritized_ik.validation import Array
+from prioritized_ik.validation import Array, finite_array
+
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 PLAIN = ("dt", "duration", "required", "tolerance", "damping", "solver")  # keys that a `Scene` takes as they are
-KEYS = ("model", "example", "keyframe", "q", *PLAIN, "task", "limit")
+KEYS = ("model", "example", "keyframe", "q", "joints", *PLAIN, "task", "limit")
 
 
 def load_scene(path: str | Path, model: str | Path | None = None) -> Scene:
@@ -90,10 +95,18 @@ def _robot(content: dict[str, Any], folder: Path, other: Path | None) -> Robot:
 def _start(content: dict[str, Any], robot: Robot) -> Array:
     if "q" in content and "keyframe" in content:
         raise InputError("q and keyframe are both given; expected one of them.")
-    if "keyframe" in content:
-        return robot.keyframe(content["keyframe"])
-    robot.update(content.get("q"))
-    return robot.q
+    robot.update(robot.keyframe(content["keyframe"]) if "keyframe" in content else content.get("q"))
+    joints, q = content.get("joints", {}), robot.q
+    if not isinstance(joints, dict):
+        raise InputError(
+            f"joints is {joints!r}; expected a table of joints and where each starts, such as {{elbow = 0.5}}."
+        )
+    for name, value in joints.items():
+        number = robot.joint(name)
+        if robot.model.jnt_type[number] not in _SCALAR:
+            raise InputError(f"joint {name!r} is a ball or free joint; expected hinges and slides in joints, others in q.")
+        q[robot.model.jnt_qposadr[number]] = float(finite_array(f"start of {name}", value, ()))
+    return q
 
 
 def _tables(content: dict[str, Any], key: str) -> list[tuple[dict[str, Any], str]]:
