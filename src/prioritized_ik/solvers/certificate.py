@@ -50,6 +50,8 @@ from prioritized_ik.validation import Array, finite_array, length, lengths, tole
 
 FAR = 1e300  # a row that no level above holds can move any way
 
+TURNS = 2  # of a basis in extended precision; each gains as many digits as the level's weakest direction leaves
+
 IMPROVEMENTS = 4  # of a combination in extended precision; each gains as many digits as the rows leave
 
 
@@ -358,20 +360,23 @@ class Proof:
     ) -> "_Look":
         """Return how far rows balance a level's gradient: in double precision, where that cannot tell in extended."""
         felt = shortfall.felt.felt
-        basis, sizes = _whitened(shortfall.felt)
-        strongest, unfelt_lengths = max(sizes[: felt.shape[1]], default=0.0), sizes[felt.shape[1] :]
-        gradient = np.concatenate([shortfall.gradient, np.zeros_like(unfelt_lengths)])
-        # What a level does not feel is zero, and not rounding.
-        terms = np.concatenate([shortfall.terms + shortfall.leak * strongest, shortfall.leak * unfelt_lengths])
         # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
-        leaks = EPS * follows * math.sqrt(level.cost(self._u)) * strongest
+        leaks = EPS * follows * math.sqrt(level.cost(self._u)) * max(lengths(felt.T), default=0.0)
         noise = self._hierarchy.problem.noise
         stated = noise > NOISE
         unit = noise if stated else ROUNDING
         for extended in (False, True):
+            exact = extended and not level.is_soft
+            basis, sizes = _whitened(shortfall.felt, weakly=exact)
+            strongest, unfelt_lengths = max(sizes[: felt.shape[1]], default=0.0), sizes[felt.shape[1] :]
+            gradient = np.concatenate([shortfall.gradient, np.zeros_like(unfelt_lengths)])
+            # What a level does not feel is zero, and not rounding.
+            terms = np.concatenate([shortfall.terms + shortfall.leak * strongest, shortfall.leak * unfelt_lengths])
             blur = unit * terms
-            if extended and not level.is_soft:
-                gradient, blur = _exact_gradient(self._as_cut(level, number), felt, self._u, len(gradient), blur)
+            if exact:
+                solved = self._as_cut(level, number)
+                gradient, blur = _exact_gradient(solved, felt, self._u, len(gradient), blur)
+                basis = _exact_basis(solved, basis, felt.shape[1])
             lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
             balance = _balanced(self._hierarchy.rows.matrix[near], basis, lacking, held, unit, extended=extended)
             # Multipliers as large as that are made of what rounding leaves of rows that cancel each other.
@@ -379,7 +384,7 @@ class Proof:
             rounding = blur + balance.rounding + turned
             beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
             explained = max(float(np.linalg.norm(sizes * rounding)), 0.0 if extended else leaks)
-            look = _Look(balance, gradient, sizes, rounding, beyond, -(basis @ beyond), explained, length(shortfall.terms))
+            look = _Look(balance, gradient, sizes, rounding, beyond, -(basis.astype(float) @ beyond), explained, length(shortfall.terms))
             off = max(explained / UNDECIDED, length(look.displacement) / self.tolerance, leaks / LEAKS)
             if stated or off <= self.scale:  # more digits of data that are off in the seventh tell nothing
                 break
@@ -391,10 +396,16 @@ class Proof:
         return self._hierarchy.cut_problem.levels[number] if cut and number is not None else level
 
 
-def _whitened(range_: Range) -> tuple[Array, Array]:
-    """Return directions `(m, v)` in which a level's cost is ‖·‖², those it does not feel at `UNFELT`, and their lengths."""
+def _whitened(range_: Range, *, weakly: bool = False) -> tuple[Array, Array]:
+    """Return directions `(m, v)` in which a level's cost is ‖·‖², and their lengths.
+
+    Those it does not feel are there at `UNFELT`, or `weakly`: as little felt as the weakest one that is.
+    """
     felt_lengths = lengths(range_.felt.T)
-    unfelt_lengths = np.full(range_.unfelt.shape[1], min(felt_lengths, default=1.0) / UNFELT)
+    unfelt = min(felt_lengths, default=1.0) / UNFELT
+    if weakly:
+        unfelt = max(felt_lengths.max(initial=0.0), unfelt)
+    unfelt_lengths = np.full(range_.unfelt.shape[1], unfelt)
     return np.hstack([range_.felt, range_.unfelt * unfelt_lengths]), np.concatenate([felt_lengths, unfelt_lengths])
 
 
@@ -441,6 +452,19 @@ def _exact_gradient(level: Level, felt: Array, u: Array, size: int, blur: Array)
     return gradient, blur
 
 
+def _exact_basis(level: Level, basis: Array, felt: int) -> NDArray[np.longdouble]:
+    """Return a whitened `basis` `(m, v)`, its first `felt` columns as they are, the others as unfelt as digits allow.
+
+    Rounding turns them towards weak directions, where rows with large multipliers would seem to pull for nothing.
+    """
+    long = np.longdouble
+    exact, matrix = basis.astype(long), level.matrix.astype(long)
+    seen = matrix @ exact[:, :felt]
+    for _ in range(TURNS):
+        exact[:, felt:] -= exact[:, :felt] @ (seen.T @ (level.weights[:, None] * (matrix @ exact[:, felt:])))
+    return exact
+
+
 @dataclass(frozen=True)
 class _Balance:
     """How far rows can balance a gradient.
@@ -474,7 +498,7 @@ def _balanced(
     The combination may need digits that doubles do not have, where rows are nearly parallel or weights far apart; in
     `extended` precision it is improved until it has them.
     """
-    cone = rows @ basis
+    cone = rows @ basis.astype(float)
     sizes = lengths(cone)
     normals = cone / sizes[:, None]
     signed = np.vstack([normals, -normals[held]])
