@@ -119,12 +119,19 @@ class TestSabotage:
 
 @pytest.mark.parametrize(
     ("name", "seed"),
-    [("nearly_parallel_levels", 20138), ("near_redundant", 20300), ("joint_units", 50146), ("thin_set", 71022)],
+    [
+        ("nearly_parallel_levels", 20138),
+        ("near_redundant", 20300),
+        ("joint_units", 50146),
+        ("thin_set", 71022),
+        ("near_redundant", 160967),
+    ],
     ids=[
         "rows that cancel but for rounding",
         "a weak direction as a difference of strong rows",
         "rounding of a level that those below magnify",
         "rows with room that only together move a level",
+        "directions that are not felt, turned towards weak ones",
     ],
 )
 def test_what_rounding_leaves_of_large_terms_proves_nothing(name: str, seed: int) -> None:

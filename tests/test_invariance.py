@@ -1,5 +1,8 @@
 """The same physical problem in other units has the same answer: units are the caller's, and no tolerance is tied to one.
 
+Factors are powers of two, so that the problem stays the same to the last bit. Others round it anew: the answer moves then by
+what that much noise moves the optimum.
+
 `PRIORITIZED_IK_CAMPAIGN=1000 pytest tests/test_invariance.py` takes so many problems of each kind instead of a few.
 """
 
@@ -11,7 +14,7 @@ from functools import cache, partial
 import mujoco
 import numpy as np
 import pytest
-from hierarchies import random_hierarchy
+from hierarchies import random_hierarchy, sensitivity
 from tolerances import ROUNDING
 from units import physical, reposed
 
@@ -24,8 +27,9 @@ from prioritized_ik.solvers.step import JointStep, StepStatus
 
 CAMPAIGN = "PRIORITIZED_IK_CAMPAIGN"
 SAMPLE = 8  # problems of each kind unless told
-DECADES = (-3.0, 6.0)  # of factors: from kilometres to micrometres where metres were
-SAME = 1e-8  # of the step: what rounding makes of the most sensitive problems drawn
+OCTAVES = (-10, 20)  # of factors, 1e-3 to 1e6: from kilometres to micrometres where metres were
+SAME = 1e-8  # of the step
+ROUNDED_ANEW = 2e-13  # times how sensitive a problem is: how far rounding its numbers moves its optimum
 ANOTHER = 1e-4  # of the step: far beyond
 OFTEN = 0.1  # of the levels feel a weight: those that are met in full do not
 LIMITED = 0.25  # of a robot's steps end on a limit, at least
@@ -47,12 +51,13 @@ class Units:
     joints: np.ndarray | None = None
 
     @staticmethod
-    def random(of: str, problem: IKProblem, seed: int) -> "Units":
-        """Return random units of one of `UNITS`."""
+    def random(of: str, problem: IKProblem, seed: int, *, whole: bool = True) -> "Units":
+        """Return random units of one of `UNITS`: powers of two if `whole`, else anything between them."""
         rng = np.random.default_rng([seed, UNITS.index(of)])
 
         def factors(count: int) -> np.ndarray:
-            return 10.0 ** rng.uniform(*DECADES, count)
+            octaves = rng.uniform(*OCTAVES, count)
+            return 2.0 ** (np.round(octaves) if whole else octaves)
 
         levels = [np.ones(1) for _ in problem.levels]
         if of == "a level":
@@ -76,7 +81,7 @@ def sample() -> range:
 
 
 def solved(problem: IKProblem) -> JointStep:
-    return get_method("daqp").step(problem, SolveOptions())
+    return get_method("active-set").step(problem, SolveOptions())
 
 
 @cache
@@ -127,6 +132,17 @@ def test_other_units_give_the_same_step_and_the_same_status(source, of):
         differences.count(seed, before, solved(units.of(problem)), units.joints)
     assert not differences.statuses, str(differences)
     assert not differences.steps, str(differences)
+
+
+@pytest.mark.parametrize("of", UNITS)
+def test_units_that_round_the_problem_anew_move_the_step_by_no_more_than_rounding_does(of):
+    for seed in sample():
+        known = random_hierarchy(seed)
+        units = Units.random(of, known.problem, seed, whole=False)
+        step = solved(units.of(known.problem))
+        assert step.dtheta is not None, (seed, step)
+        off = difference(physical(step.dtheta, units.joints), known.dtheta)
+        assert off <= max(SAME, ROUNDED_ANEW * sensitivity(known)), (seed, off)
 
 
 # What makes the claim one.

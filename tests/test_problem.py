@@ -402,14 +402,22 @@ def test_a_noise_out_of_range_is_refused(noise):
         IKProblem([Level(np.eye(2), np.zeros(2))], noise=noise)
 
 
-@pytest.mark.parametrize("noise", [1e-15, 1e-12, 1e-6, 9e-3])
+ROUNDED_TO = 64 * 2.0**-52  # sixty products of two doubles
+
+
+def test_unless_stated_rows_are_rounding_where_doubles_leave_no_more_of_a_zero():
+    problem = IKProblem([Level([[100.0, 0.0]], [1.0])], rows=Rows([[0.0, 1.0]], [1.0]))
+    assert problem.zero_length == pytest.approx(100.0 * ROUNDED_TO, rel=1e-15)
+
+
+@pytest.mark.parametrize("noise", [1e-15, 1e-11, 1e-6, 9e-3])
 def test_rows_up_to_the_noise_of_the_longest_are_rounding(noise):
     problem = IKProblem([Level([[100.0, 0.0]], [1.0])], rows=Rows([[0.0, 1.0]], [1.0]), noise=noise)
     assert problem.zero_length == pytest.approx(100.0 * noise, rel=1e-15)
 
 
 def test_a_joints_own_step_counts_among_the_rows_so_that_tiny_levels_alone_are_rounding():
-    assert IKProblem([Level([[1e-20, 0.0]], [1.0])]).zero_length == pytest.approx(1e-12, rel=1e-15)
+    assert IKProblem([Level([[1e-20, 0.0]], [1.0])]).zero_length == ROUNDED_TO
 
 
 def test_rows_that_are_rounding_are_kept_by_every_step_and_never_tight():

@@ -17,7 +17,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.tolerances import NOISE
+from prioritized_ik.tolerances import NOISE, ROUNDING
 from prioritized_ik.validation import (
     Array,
     finite_array,
@@ -235,8 +235,9 @@ class IKProblem:
         metric: M, by which the last level measures, ‖dθ - r‖² = (dθ - r)ᵀ M (dθ - r), and with it every relative
             tolerance: a diagonal `(m,)` or a matrix `(m, m)`; ones unless given, as in the paper. See
             `limits.joint_metric` for joints of several units.
-        noise: of the data, as a fraction: what is this little of its surroundings is rounding and counts as zero. 1e-12
-            unless given; about 1e-6 for data in single precision.
+        noise: of the data, as a fraction: what is this little of its surroundings is rounding and counts as zero; about
+            1e-6 for data in single precision. The default is that of doubles: 1e-12 for combinations of rows of unit
+            length, but 1.4e-14 of the longest for whole rows.
 
     Raises:
         InputError: widths that differ or are not known, a metric that is not positive, a noise out of range.
@@ -439,13 +440,19 @@ class IKProblem:
 
     @cached_property
     def zero_length(self) -> float:
-        """Rows of levels, rows and equalities up to this length, `noise` of the longest, are rounding: none at all.
+        """Rows of levels, rows and equalities up to this length are rounding: none at all.
 
-        Whatever the rows, that of the last level, one joint's step in the metric, is of length one.
+        That is the `noise` of the longest if it is stated; else what doubles leave of a zero, and no more: rows may be
+        twelve decades apart by their units alone.
         """
+        return (self.noise if self.noise != NOISE else ROUNDING) * self.longest_row
+
+    @cached_property
+    def longest_row(self) -> float:
+        """Length of the longest row in the metric, that of the last level included: one joint's step, of length one."""
         longest = [1.0, *(lengths(level.matrix).max(initial=0.0) for level in self.in_metric.levels)]
         longest += [self.in_metric.row_lengths.max(initial=0.0), self.in_metric.equality_lengths.max(initial=0.0)]
-        return self.noise * float(max(longest))
+        return float(max(longest))
 
     @cached_property
     def real_rows(self) -> NDArray[np.bool_]:

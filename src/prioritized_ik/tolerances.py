@@ -10,8 +10,8 @@ EPS = float(np.finfo(float).eps)
 
 # --- What is rounding in the data ---------------------------------------------------------------------------------------
 
-#: [–] What is this fraction of its surroundings is zero, unless a problem states the noise of its data. What doubles
-#: leave of a zero in a Jacobian is about 1e-16 of its size.
+#: [–] A combination of rows of unit length this short is zero, unless a problem states the noise of its data. What doubles
+#: leave of a zero in a Jacobian is about 1e-16 of its size. For whole rows see `ROUNDING`: their lengths have units.
 NOISE = 1e-12
 
 #: [–] Rows of unit length that differ by less than this angle say the same. Dividing by it leaves five digits.
@@ -41,7 +41,7 @@ GAP = 1e-9
 UNDECIDED = 1e-4
 
 #: [–] The conditions are differences of large terms where a level wants far more than the rows allow; this fraction of the
-#: terms is noise: sixty products of two doubles each.
+#: terms is noise: sixty products of two doubles each. So is a row this short beside the longest.
 ROUNDING = 64 * EPS
 
 #: [–] A direction without cost counts as felt this much weaker than the level's strongest, so that descents along it show.

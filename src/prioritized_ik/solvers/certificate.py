@@ -384,7 +384,16 @@ class Proof:
             rounding = blur + balance.rounding + turned
             beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
             explained = max(float(np.linalg.norm(sizes * rounding)), 0.0 if extended else leaks)
-            look = _Look(balance, gradient, sizes, rounding, beyond, -(basis.astype(float) @ beyond), explained, length(shortfall.terms))
+            look = _Look(
+                balance,
+                gradient,
+                sizes,
+                rounding,
+                beyond,
+                -(basis.astype(float) @ beyond),
+                explained,
+                length(shortfall.terms),
+            )
             off = max(explained / UNDECIDED, length(look.displacement) / self.tolerance, leaks / LEAKS)
             if stated or off <= self.scale:  # more digits of data that are off in the seventh tell nothing
                 break

@@ -64,7 +64,7 @@ def find_conflict(problem: IKProblem) -> Conflict | None:
     """
     hard = _hard_rows(problem)
     likely = float(np.abs(hard.sides).max(initial=0.0)) or 1.0
-    never = impossible_rows(problem.in_metric, FEASIBLE * likely * problem.in_metric.zero_length / problem.noise)
+    never = impossible_rows(problem.in_metric, FEASIBLE * likely * problem.in_metric.longest_row)
     if never:
         return Conflict(never[:1], float("inf"))
     violation = _least_violation(hard)

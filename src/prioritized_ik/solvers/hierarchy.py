@@ -230,8 +230,7 @@ class Hierarchy:
     @cached_property
     def impossible(self) -> tuple[str, ...]:
         """Names of hard rows that are rounding, so that no step moves them, but whose sides are beyond what is kept."""
-        longest = self._given.zero_length / self._given.noise
-        return impossible_rows(self._given, FEASIBLE * longest * self.length)
+        return impossible_rows(self._given, FEASIBLE * self._given.longest_row * self.length)
 
     def scale(self, u: Array) -> float:
         """Return what relative figures of a step count against: ‖u‖, at least `FLOOR` of what the levels ask for."""

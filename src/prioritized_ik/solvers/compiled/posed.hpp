@@ -73,7 +73,7 @@ class Posed {
         }
         for (int i = 0; i < now_.equalities; i++)
             longest = max(longest, fixed_lengths[i] = norm(fixed + size_t(i) * stride, stride));
-        shortest_row_ = noise_ * longest;
+        shortest_row_ = (noise_ == tol_.NOISE ? tol_.ROUNDING : noise_) * longest;
         zero_ = arena_.array<int>(now_.level_rows + now_.rows);
 
         matrix_ = matrix;
