@@ -1,6 +1,6 @@
 """The same physical problem in other units has the same answer: units are the caller's, and no tolerance is tied to one.
 
-Factors are powers of two, so that the problem stays the same to the last bit. Others round it anew: the answer moves then by
+Factors are powers of two, so that the problem is the same to the last bit. Others round it anew: then the answer moves by
 what that much noise moves the optimum.
 
 `PRIORITIZED_IK_CAMPAIGN=1000 pytest tests/test_invariance.py` takes so many problems of each kind instead of a few.

@@ -48,6 +48,8 @@ from prioritized_ik.tolerances import (
 )
 from prioritized_ik.validation import Array, finite_array, length, lengths, tolerance_above_rounding
 
+Floats = NDArray[np.floating]  # doubles, or in extended precision
+
 FAR = 1e300  # a row that no level above holds can move any way
 
 TURNS = 2  # of a basis in extended precision; each gains as many digits as the level's weakest direction leaves
@@ -373,12 +375,13 @@ class Proof:
             # What a level does not feel is zero, and not rounding.
             terms = np.concatenate([shortfall.terms + shortfall.leak * strongest, shortfall.leak * unfelt_lengths])
             blur = unit * terms
+            directions: Floats = basis
             if exact:
                 solved = self._as_cut(level, number)
                 gradient, blur = _exact_gradient(solved, felt, self._u, len(gradient), blur)
-                basis = _exact_basis(solved, basis, felt.shape[1])
+                directions = _exact_basis(solved, basis, felt.shape[1])
             lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
-            balance = _balanced(self._hierarchy.rows.matrix[near], basis, lacking, held, unit, extended=extended)
+            balance = _balanced(self._hierarchy.rows.matrix[near], directions, lacking, held, unit, extended=extended)
             # Multipliers as large as that are made of what rounding leaves of rows that cancel each other.
             turned = self._blur * sizes * float(np.abs(balance.net(held) / balance.sizes).sum())
             rounding = blur + balance.rounding + turned
@@ -390,7 +393,7 @@ class Proof:
                 sizes,
                 rounding,
                 beyond,
-                -(basis.astype(float) @ beyond),
+                -(basis @ beyond),
                 explained,
                 length(shortfall.terms),
             )
@@ -461,7 +464,7 @@ def _exact_gradient(level: Level, felt: Array, u: Array, size: int, blur: Array)
     return gradient, blur
 
 
-def _exact_basis(level: Level, basis: Array, felt: int) -> NDArray[np.longdouble]:
+def _exact_basis(level: Level, basis: Array, felt: int) -> Floats:
     """Return a whitened `basis` `(m, v)`, its first `felt` columns as they are, the others as unfelt as digits allow.
 
     Rounding turns them towards weak directions, where rows with large multipliers would seem to pull for nothing.
@@ -500,7 +503,7 @@ class _Balance:
 
 
 def _balanced(
-    rows: Array, basis: Array, gradient: Array, held: NDArray[np.bool_], noise: float, *, extended: bool
+    rows: Array, basis: Floats, gradient: Array, held: NDArray[np.bool_], noise: float, *, extended: bool
 ) -> _Balance:
     """Return how far `rows` `(t, m)` in the coordinates of `basis` `(m, v)` can balance a `gradient` `(v,)`.
 
