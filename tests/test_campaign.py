@@ -125,6 +125,7 @@ class TestSabotage:
         ("joint_units", 50146),
         ("thin_set", 71022),
         ("near_redundant", 160967),
+        ("thin_set", 191089),
     ],
     ids=[
         "rows that cancel but for rounding",
@@ -132,6 +133,7 @@ class TestSabotage:
         "rounding of a level that those below magnify",
         "rows with room that only together move a level",
         "directions that are not felt, turned towards weak ones",
+        "rows that gain what the room of others is worth",
     ],
 )
 def test_what_rounding_leaves_of_large_terms_proves_nothing(name: str, seed: int) -> None:

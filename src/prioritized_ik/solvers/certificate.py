@@ -307,7 +307,8 @@ class Proof:
         self._leak[first] = gap / multipliers[first]
         loosened = 0.0  # how far dθ may go until rows that carry a multiplier are tight; the last level's gap tells
         if number is not None:
-            loosened = self._loosened(near[counts & ~back], shortfall.felt, free)
+            carrying = counts & ~back
+            loosened = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free)
         # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
         off = self._off * (1.0 + follows)
         above = max(self._above, off)
@@ -332,24 +333,26 @@ class Proof:
             self.tolerance,
         )
 
-    def _loosened(self, carrying: NDArray[np.int_], range_: Range, free: Array) -> float:
-        """Return how far the step may go until the `carrying` rows are tight, one after the other or all together.
+    def _loosened(self, carrying: NDArray[np.int_], multipliers: Array, range_: Range, free: Array) -> float:
+        """Return how far the step may go while the `carrying` rows `(t,)` share out the room that they have.
 
-        Along what the level does not feel, but for rows that this does not move; or where the level's cost rises least.
+        A level gains Σ λ_i (the room that row i loses), which is not negative: a row may lose its room, or gain what that of
+        the others is worth. Along what the level does not feel, but for rows that this does not move; or where the level's
+        cost rises least.
         """
         rows, slack = self._hierarchy.rows, np.abs(self.slack[carrying])
-        real = np.where(slack > ROUNDING * self.scale, slack, 0.0)
+        room = np.where(slack > ROUNDING * self.scale, slack, 0.0)
+        worth = multipliers * room
+        room = np.maximum(room, np.minimum((worth.sum() - worth) / multipliers, self.tolerance * self.scale))
         moves = rows.reach(carrying, range_.unfelt) > self._hierarchy.settled
-        far, moved = 0.0, 0.0
+        basis, _ = _whitened(range_)
+        far = 0.0
         for among, way in ((moves, range_.unfelt), (~moves, free)):
             if among.any():
                 normals = rows.matrix[carrying[among]] @ way
                 apart = float((slack[among] / lengths(normals)).sum())
-                far += max(apart, float(np.linalg.norm(np.linalg.lstsq(normals, real[among], rcond=DEPENDENT)[0])))
-        if real.any():
-            basis, _ = _whitened(range_)
-            moved = length(basis @ np.linalg.lstsq(rows.matrix[carrying] @ basis, real, rcond=DEPENDENT)[0])
-        return max(far, moved)
+                far += max(apart, _farthest(normals, room[among], np.eye(way.shape[1])))
+        return max(far, _farthest(rows.matrix[carrying] @ basis, room, basis))
 
     def _looked(
         self,
@@ -406,6 +409,14 @@ class Proof:
         """Return a level as it is solved: where the rank tolerance cuts more than rounding, without what it cuts."""
         cut = self._hierarchy.rank_tolerance and number is not None
         return self._hierarchy.cut_problem.levels[number] if cut and number is not None else level
+
+
+def _farthest(normals: Array, room: Array, basis: Array) -> float:
+    """Return how far `basis` `(m, v)` @ y can go where `normals` `(t, v)` @ y is anything up to `room` `(t,)`."""
+    if not room.any():
+        return 0.0
+    ways = basis @ np.linalg.pinv(normals, rcond=DEPENDENT)
+    return float(lengths(ways.T) @ room)
 
 
 def _whitened(range_: Range, *, weakly: bool = False) -> tuple[Array, Array]:
