@@ -11,6 +11,7 @@ import functools
 import hashlib
 import importlib.metadata
 import json
+import os
 import platform
 import re
 import shutil
@@ -23,13 +24,15 @@ from typing import Any
 import comparisons
 import paper_repro
 import prioritized_ik
-from paper_repro.processes import one_thread_pool
 from prioritized_ik.files import write_whole
+from prioritized_ik.processes import process_pool
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.registry import installed_solvers
 
 Json = Any  # what `json` writes and reads back unchanged
 Progress = Callable[[str, int, int], None]  # what is done, how many are, of how many
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # one a worker, so that times mean something
 
 _DESK = re.compile("[0-9a-f]{16}")  # names of folders of answers
 
@@ -96,11 +99,12 @@ def run(jobs: Iterable[Job], folder: Path, workers: int, progress: Progress) -> 
     answers = {key: answer for key in wanted if (answer := _kept(desk / f"{key}.json")) is not None}
     todo = [job for key, job in wanted.items() if key not in answers]
     progress("found what is done", len(answers), len(wanted))
+    os.environ.update(dict.fromkeys(THREADS, "1"))  # some libraries read it only when they are loaded
     together, alone = ([job for job in todo if job.alone is flag] for flag in (False, True))
     # What measures time comes last, one at a time, in a process of its own kind.
     for group, processes in ((together, workers), (alone, 1)):
         if group:
-            with one_thread_pool(processes) as pool:
+            with process_pool(processes) as pool:
                 futures: dict[Future[Json], Job] = {pool.submit(job): job for job in group}
                 try:
                     for future in as_completed(futures):
@@ -121,7 +125,7 @@ def library_digest() -> str:
     """Return a digest of the library and of the versions of what it calls."""
     digest = hashlib.sha256(platform.python_version().encode())
     root = Path(next(iter(prioritized_ik.__path__)))
-    for path in sorted(root.rglob("*.py")):
+    for path in sorted(path for path in root.rglob("*") if path.suffix in (".py", ".hpp", ".cpp")):
         digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
     solvers = {abilities_of(name).package for name in installed_solvers(on_request=True)}
     for name in sorted({*CALLED, *solvers}):

@@ -4,7 +4,8 @@ import campaign
 import pytest
 
 from prioritized_ik.errors import InputError, SolverUnavailableError
-from prioritized_ik.solvers.batch import over_processes, solve_many
+from prioritized_ik.processes import over_processes
+from prioritized_ik.solvers.batch import solve_many
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.step import StepStatus

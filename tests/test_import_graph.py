@@ -17,7 +17,7 @@ ROOT = Path(prioritized_ik.__file__).parent
 LAYERS = [
     {"errors", "tolerances", "late"},
     {"validation", "files", "rendering", "extras"},
-    {"pictures"},
+    {"pictures", "processes"},
     {"models", "jacobians"},
     {"virtual_arms"},
     {"touch", "problem", "weights"},

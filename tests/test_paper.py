@@ -118,7 +118,7 @@ def test_one_artefact_is_made_by_itself_from_what_is_done(made, monkeypatch):
     table = made / "tables" / "table-8.csv"
     before = table.read_bytes()
     table.unlink()
-    monkeypatch.setattr(jobs, "one_thread_pool", None)  # no job may run
+    monkeypatch.setattr(jobs, "process_pool", None)  # no job may run
     result = paper("--quick", "--out", str(made), "--only", "table-8")
     assert result.exit_code == 0, result.output
     assert table.read_bytes() == before

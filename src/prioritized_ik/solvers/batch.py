@@ -1,24 +1,15 @@
 """Many problems at once, over processes: bit for bit the steps that they have one by one."""
 
-import multiprocessing
-import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable
 from functools import partial
-from typing import TypeVar
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import IKProblem
+from prioritized_ik.processes import over_processes
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.registry import DEFAULT, get_method
 from prioritized_ik.solvers.solve import step_of
 from prioritized_ik.solvers.step import JointStep
-from prioritized_ik.validation import at_least
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
-
-CHUNKS = 4  # a worker: few enough to cost little, many enough that none waits long for the last
 
 
 def solve_many(
@@ -45,18 +36,6 @@ def solve_many(
             raise InputError(f"problems[{number}] is of type {type(problem).__name__}; expected an IKProblem.")
     get_method(solver, options.accuracy)  # what is not installed is told here
     return over_processes(partial(_solved, solver=solver, options=options), given, workers)
-
-
-def over_processes(call: Callable[[Item], Result], items: list[Item], workers: int | None = None) -> list[Result]:
-    """Return what `call`, a function of a module, makes of each item, in order, over `workers` processes."""
-    count = at_least("workers", (os.cpu_count() or 1) if workers is None else workers, 1)
-    count = min(count, len(items))
-    if count <= 1:
-        return [call(item) for item in items]
-    chunk = -(-len(items) // (CHUNKS * count))
-    # Started anew: a fork would copy the locks of this process's threads.
-    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn")) as executor:
-        return list(executor.map(call, items, chunksize=chunk))
 
 
 def _solved(problem: IKProblem, solver: str, options: SolveOptions) -> JointStep:

@@ -337,8 +337,8 @@ class Proof:
         """Return how far the step may go while the `carrying` rows `(t,)` share out the room that they have.
 
         A level gains Σ λ_i (the room that row i loses), which is not negative: a row may lose its room, or gain what that
-        of the others is worth. Along what the level does not feel, but for rows that this does not move; or where the level's
-        cost rises least.
+        of the others is worth. Along what the level does not feel, but for rows that this does not move; or where the
+        level's cost rises least.
         """
         rows, slack = self._hierarchy.rows, np.abs(self.slack[carrying])
         room = np.where(slack > ROUNDING * self.scale, slack, 0.0)
