@@ -438,11 +438,49 @@ def test_whatever_stands_at_a_key_the_file_loads_or_is_one_message(
         loaded(tmp_path, **changes)
 
 
+def test_a_urdf_reaches_with_a_tool_that_is_fixed_to_its_last_link(tmp_path: Path) -> None:
+    def link(name: str) -> str:
+        inertial = '<mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
+        shape = '<collision><geometry><cylinder radius="0.02" length="0.3"/></geometry></collision>'
+        return f'<link name="{name}"><inertial>{inertial}</inertial>{shape}</link>'
+
+    def joint(kind: str, parent: str, child: str) -> str:
+        limit = '<limit lower="-2" upper="2" effort="1" velocity="1"/>' if kind == "revolute" else ""
+        return (
+            f'<joint name="{parent} to {child}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="0.3 0 0"/><axis xyz="0 1 0"/>{limit}</joint>'
+        )
+
+    chain = ["base", "upper", "lower", "hand", "tool"]
+    kinds = ["revolute", "revolute", "revolute", "fixed"]
+    joints = "".join(joint(kind, one, other) for kind, one, other in zip(kinds, chain, chain[1:], strict=False))
+    (tmp_path / "robot.urdf").write_text(f'<robot name="r">{"".join(map(link, chain))}{joints}</robot>')
+    task = {"kind": "position", "body": "tool", "target": [0.9, 0.0, -0.5]}
+    scene = loaded(
+        tmp_path,
+        example=None,
+        q=None,
+        model="robot.urdf",
+        joints={"base to upper": 0.3, "upper to lower": 0.3},
+        duration=1.0,
+        task=[task],
+        limit=[{"kind": "joint-range"}],
+    )
+    run = scene.run()
+    assert run.ending is pik.Ending.REACHED
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = run.q[-1]
+    mujoco.mj_forward(scene.model, data)
+    hand = data.body("hand")
+    assert hand.xpos + hand.xmat.reshape(3, 3)[:, 0] * 0.3 == pytest.approx(task["target"], abs=1e-4)
+
+
 @pytest.mark.parametrize("file", EXAMPLES, ids=lambda file: file.stem)
 def test_the_example_scenes_run_and_end_as_their_first_line_says(file: Path) -> None:
     result = solve(file)
     assert result.exit_code == 0, result.output
     assert "REACHED" in result.output
+    assert set(pik.load_scene(file).run().statuses) <= {"CLOSED_FORM", "SOLVED"}, "every step is proven"
 
 
 def test_solve_writes_what_it_shows_and_ends_with_one_where_the_tasks_are_not_met(tmp_path: Path) -> None:
