@@ -10,7 +10,6 @@ CHAPTERS: dict[str, tuple[str, ...]] = {
     "What the paper says": (
         "facts",
         "table_1_equations",
-        "choices",
     ),
     "The arm and its solve": (
         "figure_1_virtual_arms",
@@ -47,6 +46,12 @@ CHAPTERS: dict[str, tuple[str, ...]] = {
         "table_11_distributed",
         "table_12_rivals",
         "table_13_torques",
+        "table_14_holding",
+        "figure_holding",
+    ),
+    "What the paper leaves open": (
+        "leaves_open",
+        "choices",
         "sensitivity",
     ),
     "Every winding of the map": ("closed_form_episodes",),

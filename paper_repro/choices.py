@@ -41,7 +41,7 @@ ARTEFACT = Artefact(
 What one has to decide before the paper's simulation can be run, because the paper does not say: the value chosen
 here, read from the code's defaults when this table was made, where it is set, and why it was chosen. – under *set
 at*: it is in the model's making. Every other result of this report rests on these choices, and none of them is the
-paper's; the table of sensitivity shows what some of them change. Anything in this table can be set on the Python
+paper's; the table before this one says how much each of them matters. Anything in this table can be set on the Python
 side; most by the options of `prioritized-ik wind`.""",
     jobs,
     build,

@@ -12,6 +12,7 @@ from pathlib import Path
 from string import Template
 
 from paper_repro.artefact import Artefact, Scale
+from paper_repro.latex import latex
 from prioritized_ik.files import write_whole
 
 TITLE = "The paper, reproduced"
@@ -23,8 +24,7 @@ audited; its figures, drawn anew; and what it leaves open, measured.
 
 The paper gives neither the initial pose nor the object's, no link radius, time step, joint range or contact threshold. Its
 Figs. 6 and 7 can therefore be reproduced **in quality only**: no pose here is claimed to be the paper's. What was chosen in
-their place stands in the table of choices, and what those choices change in the table of
-sensitivity at the end.
+their place, and how much it matters, stands in the chapter *What the paper leaves open*.
 
 What a reader of the paper may want to know first:
 
@@ -38,7 +38,18 @@ What a reader of the paper may want to know first:
 - The paper's second approach, end-point springs and τ = Jᵀ F_v with the weights of Eq. 23 as stiffnesses, winds a dynamic
   arm within a joint's range, more than a turn too, where the first folds. *Table 13.*
 
-Under every table and figure stands the command that makes it.
+Under every table and figure stands the command that makes it. `tables.tex` has all tables as one document of LaTeX.
+"""
+
+#: A document of all tables, on sheets that are wide enough for the widest.
+DOCUMENT = r"""\documentclass{article}
+\usepackage[paperwidth=60cm,paperheight=42cm,margin=1.5cm]{geometry}
+\usepackage{booktabs,longtable,textcomp,amssymb}
+\IfFileExists{lmodern.sty}{\usepackage{lmodern}}{}
+\setlength{\parindent}{0pt}
+\begin{document}
+%s
+\end{document}
 """
 
 
@@ -46,12 +57,12 @@ OUTDATED = "What is there was made at another scale or by another version; `prio
 
 
 def write_report(chapters: dict[str, list[Artefact]], out: Path, scale: Scale) -> list[Path]:
-    """Write `report.md` and `report.html` into `out` from the artefacts that are there, and return them.
+    """Write `report.md`, `report.html` and `tables.tex` into `out` from the artefacts that are there, and return them.
 
     One that was made at another scale, or by another version, is named but not shown.
     """
     markdown, html = [f"# {TITLE}\n", INTRODUCTION], [INTRODUCTION]
-    contents = []
+    contents, tables = [], []
     for chapter, artefacts in chapters.items():
         made = [(a, path) for a in artefacts if (path := a.file(out, "md")).is_file()]
         if not made:
@@ -64,14 +75,18 @@ def write_report(chapters: dict[str, list[Artefact]], out: Path, scale: Scale) -
             if not stamp:
                 text = f"### {artefact.title}\n\n{OUTDATED.format(artefact.name)}\n"
             place = path.relative_to(out)
+            if stamp and not artefact.timed and path.with_suffix(".tex").is_file():
+                name = place.with_suffix(".tex").as_posix()
+                tables.append(rf"\section*{{{latex(artefact.title)}}}" + "\n" + rf"\input{{{name}}}" + "\n" + r"\clearpage")
             moved = re.sub(r"\]\((?!https?:|#)", f"]({place.parent}/", text)
             if artefact.timed and stamp:
                 told = f"Measured times, which no two runs share, are kept apart: [{place}]({place})."
                 moved = f"### {artefact.title}\n\n{told}\n"
             markdown.append(moved)
             html.append(f'<a id="{artefact.name}"></a>\n\n{_with_pictures(text, path.parent)}')
-    paths = [out / "report.md", out / "report.html"]
-    for path, text in zip(paths, ("\n".join(markdown), _page("\n".join(html), contents)), strict=True):
+    texts = ("\n".join(markdown), _page("\n".join(html), contents), DOCUMENT % "\n".join(tables))
+    paths = [out / "report.md", out / "report.html", out / "tables.tex"]
+    for path, text in zip(paths, texts, strict=True):
         write_whole(path, lambda file, text=text: file.write(text.encode("utf-8")))  # type: ignore[misc]
     return paths
 

@@ -5,13 +5,16 @@ from typing import Any
 from paper_repro.artefact import Artefact, Scale
 from paper_repro.jobs import Job, Results
 from paper_repro.table import Cell, Column, Table
-from paper_repro.windings import CRITERION, LONG, TERM_TITLES, counted, measured_job, settings
+from paper_repro.windings import CRITERION, LONG, METHODS, SHORT, TERM_TITLES, counted, measured_job, settings
 from prioritized_ik.models import Arm
+from prioritized_ik.solvers.lexicographic import SolveOptions
 
-BASE = {"posture": "random", "seed": 0}  # straight windings from opposite sides mirror each other: half of them say nothing
+#: What each method changes from the default settings, so that it winds. Straight windings from opposite sides mirror each
+#: other, so that half of them would say nothing of the QP; the closed form winds from straight, and not so far.
+BASES: dict[str, dict[str, Any]] = {"qp": {"posture": "random", "seed": 0}, "closed form": {"link": SHORT}}
 
 
-def _arm(**changes: float) -> dict[str, Any]:
+def _arm(**changes: float | str) -> dict[str, Any]:
     return {"arm": Arm(**changes)}  # type: ignore[arg-type]
 
 
@@ -19,14 +22,19 @@ def _thresholds(contact: float, release: float) -> dict[str, Any]:
     return {"contact_distance": contact, "release_distance": release}
 
 
-#: Choice, value as text, and what it changes from `BASE`; the first of a choice is the default.
+def _rank_cut(tolerance: float) -> dict[str, Any]:
+    return {"options": SolveOptions(rank_tolerance=tolerance)}
+
+
+#: Choice, value as text, and what it changes from `BASES`; where nothing, that is the default.
 CHOICES: dict[str, dict[str, dict[str, Any]]] = {
     "initial pose": {
-        "random, seed 0": {},
-        "random, seed 1": {"seed": 1},
+        "random, seed 0": {"posture": "random", "seed": 0},
+        "random, seed 1": {"posture": "random", "seed": 1},
         "straight": {"posture": "straight", "seed": 0},
         "arched": {"posture": "arched", "seed": 0},
     },
+    "order of a ball's hinges": {"zyx": {}, "xyz": _arm(hinge_order="xyz"), "yzx": _arm(hinge_order="yzx")},
     "link radius [mm]": {"10": {}, "5": _arm(radius=5e-3), "15": _arm(radius=15e-3)},
     "contact / release distance [mm]": {
         "2 / 4": {},
@@ -35,20 +43,30 @@ CHOICES: dict[str, dict[str, dict[str, Any]]] = {
         "3 / 6": _thresholds(3e-3, 6e-3),
         "4 / 8": _thresholds(4e-3, 8e-3),
     },
+    "gap at the start [mm]": {"1": {}, "0": {"gap": 0.0}, "1.9": {"gap": 1.9e-3}},
     "time step [ms]": {"2": {}, "1": {"dt": 1e-3}, "4": {"dt": 4e-3}},
+    "dead band of Eq. 21 [–]": {"0.05": {}, "0": {"dead_band": 0.0}, "0.1": {"dead_band": 0.1}},
+    "rank tolerance of Eq. 6 [–]": {"1e-4": {}, "1e-6": _rank_cut(1e-6), "1e-3": _rank_cut(1e-3)},
     "joint range [rad]": {
         "±1.0": {},
         "±0.6": _arm(joint_range=0.6),
         "±0.8": _arm(joint_range=0.8),
         "±1.5": _arm(joint_range=1.5),
     },
-    "first link k": {"6": {}, "9": {"link": 9}, "12": {"link": 12}},
+    "largest step of a joint [rad]": {"0.1": {}, "0.05": {"max_step": 0.05}, "0.3": {"max_step": 0.3}},
+    "share of a gap closed in a step [–]": {"0.5": {}, "0.25": {"contact_gain": 0.25}, "1": {"contact_gain": 1.0}},
+    "first link k": {"6": {"link": 6}, "9": {"link": 9}, "12": {"link": 12}},
     "tilt of the object [rad]": {"0": {}, "0.3": {"tilt": 0.3}},
+    "length of the object [m]": {"1": {}, "0.2": {"size": (0.07, 0.1)}},
 }
+
+UNCHANGED = "time step [ms]"  # a choice whose first value is the default of both methods
+QUICK_CHOICES = ("link radius [mm]", UNCHANGED)
 
 COUNTS = ("in_contact", "turned", "within_range")
 
-QP_ONLY = ("joint range [rad]",)  # what the closed form does not know
+#: What the closed form does not know.
+QP_ONLY = ("joint range [rad]", "largest step of a joint [rad]", "share of a gap closed in a step [–]")
 
 COLUMNS = (
     Column("choice", "choice"),
@@ -65,25 +83,21 @@ COLUMNS = (
 )
 
 CAPTION = f"""\
-Every choice that the paper leaves open, changed one at a time; the first value of each is the default. Figures are the
-worst over windings from all directions with Eq. 23, by the QP with limits and contact rows and by the closed form (`–`
-where the choice does not concern it); the last columns of each count windings.
+Choices that the paper leaves open, changed one at a time: by the QP with limits and contact rows, from a random pose and
+first link {LONG}, and by the closed form, from the straight pose and first link {SHORT}, from where it winds (`–` where the
+choice does not concern it). Figures are the worst over windings from all directions with Eq. 23; the last columns of
+each count windings.
 
 {CRITERION}.
 
-The QP winds from every initial pose here, with thin and thick links, from either first link, tilted or not, and with a
-narrow joint range. What it does not bear is a step η·dt of more than a few millimetres or contact reported from further
-away than that: links then count as wound before they lie against the object, and the next ones start from there. The
-closed form has 1.26 of a turn to wind from first link {LONG} on, too much for it (see the closed-form map, which also
-has the rank tolerance); how it fails changes with every choice. This does *not* show what two choices changed together
-do, nor other random poses: see Table 8 for those.
+TODO This does *not* show what two choices changed together do, nor other random poses: see Table 8 for those.
 """
 
 
 def values(scale: Scale) -> list[tuple[str, str]]:
-    """Return choice and value of each row; the reduced run has two values of each of the first choices."""
+    """Return choice and value of each row; the reduced run has two values of some choices."""
     if scale.quick:
-        return [(choice, value) for choice in list(CHOICES)[:2] for value in list(CHOICES[choice])[:2]]
+        return [(choice, value) for choice in QUICK_CHOICES for value in list(CHOICES[choice])[:2]]
     return [(choice, value) for choice, entries in CHOICES.items() for value in entries]
 
 
@@ -91,19 +105,25 @@ def windings(scale: Scale, method: str, choice: str, value: str) -> list[Job]:
     """Return the windings of one row by one method, from one direction in the reduced run."""
     directions = scale.directions[:1] if scale.quick else scale.directions
     return [
-        measured_job(settings(method, direction=direction, **{**BASE, **CHOICES[choice][value]}))
+        measured_job(settings(method, direction=direction, **{**BASES[method], **CHOICES[choice][value]}))
         for direction in directions
     ]
 
 
+def base(scale: Scale, method: str) -> list[Job]:
+    """Return the windings of a method with every default."""
+    return windings(scale, method, UNCHANGED, next(iter(CHOICES[UNCHANGED])))
+
+
+def methods(choice: str) -> tuple[str, ...]:
+    """Return the methods that a choice concerns."""
+    return ("qp",) if choice in QP_ONLY else METHODS
+
+
 def jobs(scale: Scale) -> list[Job]:
     """Return one job a winding."""
-    return [
-        job
-        for choice, value in values(scale)
-        for method in ("qp", *(("closed form",) if choice not in QP_ONLY else ()))
-        for job in windings(scale, method, choice, value)
-    ]
+    rows = [(method, *row) for row in values(scale) for method in methods(row[0])]
+    return [job for row in rows for job in windings(scale, *row)]
 
 
 def build(scale: Scale, results: Results) -> Table:

@@ -60,6 +60,8 @@ class TorqueWinding:
         torque: largest of any joint [N m].
         contact_force: largest normal force of one contact [N].
         work: done by the joints, either way [J].
+        q: joint positions at the end `(m,)` [rad].
+        in_contact: M at the end `(n,)`.
     """
 
     equilibrium: Equilibrium | None
@@ -70,6 +72,8 @@ class TorqueWinding:
     torque: float
     contact_force: float
     work: float
+    q: Array
+    in_contact: NDArray[np.bool_]
 
 
 class TaskSpaceControl:
@@ -130,12 +134,11 @@ def torque_job(approach: str, **changes: Any) -> Job:
 
 
 def wound(approach: str, changes: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of `TorqueWinding`, with the name of an `Outcome` for its equilibrium."""
+    """Return the figures of `TorqueWinding`, with the name of an `Outcome` for its equilibrium."""
     found = wind_by_torques(approach, **changes)
     outcome = {Equilibrium.WINDING: Outcome.WOUND, Equilibrium.FREE: Outcome.LOST, None: Outcome.OUT_OF_STEPS}
     figures = {**vars(found), "outcome": outcome[found.equilibrium].name}
-    del figures["equilibrium"]
-    return figures
+    return {name: figure for name, figure in figures.items() if name not in ("equilibrium", "q", "in_contact")}
 
 
 def wind_by_torques(approach: str, **changes: Any) -> TorqueWinding:
@@ -145,14 +148,19 @@ def wind_by_torques(approach: str, **changes: Any) -> TorqueWinding:
         approach: its name.
         changes: to `WindingSettings`; η and the time step are those of this module.
     """
-    given: dict[str, Any] = {"limits": False, "contacts": False, "solver": CLOSED_FORM, "speed": SPEED, "dt": TIME_STEP}
-    settings = WindingSettings(**{**given, **changes})
+    settings = torque_settings(**changes)
     controller = WindingController(settings)
     control = APPROACHES[approach](controller)
     model = dynamic_model(settings)
     data = mujoco.MjData(model)
     data.qpos[:] = settings.initial_posture()
     return _run(controller, control, model, data)
+
+
+def torque_settings(**changes: Any) -> WindingSettings:
+    """Return the settings of a winding by torques: those that `wind_by_torques` takes, with η and the time step."""
+    given: dict[str, Any] = {"limits": False, "contacts": False, "solver": CLOSED_FORM, "speed": SPEED, "dt": TIME_STEP}
+    return WindingSettings(**{**given, **changes})
 
 
 def dynamic_model(settings: WindingSettings) -> mujoco.MjModel:
@@ -188,16 +196,17 @@ def _run(controller: WindingController, control: Control, model: mujoco.MjModel,
         steps += 1
         torque = max(torque, float(np.abs(tau).max()))
         work += float(np.abs(tau * data.qvel).sum()) * settings.dt
-        force = max(force, _contact_force(model, data))
+        force = max(force, contact_force(model, data))
     wound = settings.wound_object()
     middles = situation.positions - 0.5 * settings.arm.link_length * situation.directions
     angle = ideal_angle(settings.arm.link_length, settings.size[0] + settings.arm.radius, settings.tilt)
     ideal = (settings.arm.links - settings.link) * angle / (2.0 * np.pi)
     turns = turns_about(middles[settings.link - 1 :], wound.position, wound.rotation)
-    return TorqueWinding(situation.equilibrium, steps * settings.dt, turns / ideal, depth, bend, torque, force, work)
+    figures = (steps * settings.dt, turns / ideal, depth, bend, torque, force, work)
+    return TorqueWinding(situation.equilibrium, *figures, data.qpos.copy(), touching)
 
 
-def _contact_force(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+def contact_force(model: mujoco.MjModel, data: mujoco.MjData) -> float:
     """Return the largest normal force of a contact [N], 0 without any."""
     found = np.zeros(6)
     largest = 0.0

@@ -3,13 +3,16 @@
 import csv
 import re
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from pylatexenc.latexwalker import LatexMacroNode, LatexWalker, LatexWalkerParseError
 
 from paper_repro import jobs
 from paper_repro.artefact import QUICK, Artefact
+from paper_repro.build import ANSWERS
 from paper_repro.catalogue import CHAPTERS, artefacts
 from paper_repro.figure import KINDS
 from paper_repro.readme import marked
@@ -77,6 +80,63 @@ def test_the_three_forms_of_a_table_have_the_same_rows_and_columns(made, artefac
     ] * len(rows)
     assert body.isascii()
     assert "bfseries ?" not in body
+
+
+#: What tables may use beyond letters: kernel and the packages that `tables.tex` loads.
+COMMANDS = {"toprule", "midrule", "bottomrule", "endhead", "ensuremath", "mathsf", "textcompwordmark"}
+
+
+def test_the_syntax_of_every_table_is_that_of_latex(made):
+    """Braces, environments and mathematics closed, by a strict parser; and no command that it does not know."""
+    for path in sorted(made.rglob("*.tex")):
+        text = path.read_text(encoding="utf-8")
+        assert text.isascii(), path
+        walker = LatexWalker(text, tolerant_parsing=False)
+        waiting = list(walker.get_latex_nodes()[0])
+        while waiting:
+            node = waiting.pop()
+            for parts in (getattr(node, "nodelist", None), getattr(getattr(node, "nodeargd", None), "argnlist", None)):
+                waiting += [part for part in parts or [] if part is not None]
+            if node.isNodeType(LatexMacroNode) and path.parent != made:
+                known = walker.latex_context.get_macro_spec(node.macroname)
+                assert known.macroname or node.macroname in COMMANDS | {"\\"}, (path, node.macroname)
+
+
+@pytest.mark.parametrize("broken", ["{", "$x", r"\begin{tabular}", r"\end{longtable}"])
+def test_the_parser_refuses_what_latex_would(broken):
+    """Sabotage of the test above."""
+    with pytest.raises(LatexWalkerParseError):
+        LatexWalker(f"\\toprule a & {broken}", tolerant_parsing=False).get_latex_nodes()
+
+
+def test_the_document_of_all_tables_holds_them_all_and_compiles_where_there_is_latex(made):
+    text = (made / "tables.tex").read_text(encoding="utf-8")
+    given = re.findall(r"\\input\{(tables/[^}]*)\}", text)
+    assert given == [f"tables/{name}.tex" for name in NAMES if not name.startswith("figure") and name != "table-7"]
+    latex = shutil.which("pdflatex")
+    if latex:
+        command = [latex, "-draftmode", "-halt-on-error", "-interaction=nonstopmode", "tables.tex"]
+        done = subprocess.run(command, cwd=made, capture_output=True, timeout=120, check=False)
+        assert done.returncode == 0, done.stdout[-2000:].decode(errors="replace")
+
+
+COUNTED = re.compile(r"^(step|first link|last wound link k)$")
+
+
+def everything(made: Path, artefact: Artefact) -> jobs.Results:
+    """What the jobs of an artefact gave in the reduced run."""
+    return jobs.run(artefact.jobs(QUICK), made / ANSWERS, 1, lambda *told: None)
+
+
+@pytest.mark.parametrize("artefact", [a for a in artefacts() if a.name.startswith("figure")], ids=lambda a: a.name)
+def test_every_axis_of_a_figure_says_its_unit(made, artefact):
+    """In brackets, `[–]` for a ratio; but for numbers of steps and links, and axes without numbers."""
+    figure = artefact.build(QUICK, everything(made, artefact))
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            label = axis.get_label().get_text()
+            if label and not COUNTED.search(label):
+                assert re.search(r"\[[^]]+\]", label), label
 
 
 def test_the_report_needs_no_other_file(made):

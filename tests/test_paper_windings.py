@@ -13,12 +13,14 @@ from paper_repro import (
     figure_6_windings,
     figure_7_weights,
     figure_penetration,
+    leaves_open,
     outcomes,
     sensitivity,
     table_8_windings,
     table_9_ablation,
 )
 from paper_repro.artefact import FULL, QUICK, Scale
+from paper_repro.facts import known_facts
 from paper_repro.jobs import Job, Results
 from paper_repro.windings import (
     counted,
@@ -197,13 +199,34 @@ def test_artefacts_share_the_windings_that_they_have_in_common():
     assert {job.key for job in figure_6_windings.jobs(FULL)} == {job.key for job in figure_penetration.jobs(FULL)}
 
 
-def test_sensitivity_changes_one_choice_at_a_time_from_one_default():
-    defaults = [next(iter(entries.values())) for entries in sensitivity.CHOICES.values()]
-    assert not any(defaults)
+def test_sensitivity_changes_one_choice_at_a_time_from_the_default_of_each_method():
+    for choice in sensitivity.CHOICES:
+        for method in sensitivity.methods(choice):
+            default = [job.key for job in sensitivity.base(SMALL, method)]
+            values = [value for name, value in sensitivity.values(SMALL) if name == choice]
+            assert sum([job.key for job in sensitivity.windings(SMALL, method, choice, v)] == default for v in values) == 1
     table = sensitivity.build(SMALL, Answers({'"radius": 0.005': {"penetration": 9e-3}}))
     assert row_of(table, choice="link radius [mm]", value="5")["qp_turned"] == 0
     assert row_of(table, choice="link radius [mm]", value="10")["qp_turned"] == 2
     assert row_of(table, choice="joint range [rad]", value="±0.8")["closed_form_turned"] is None
+
+
+def test_every_choice_that_the_paper_leaves_open_is_tried_or_says_why_not():
+    left_open = {fact.id for fact in known_facts() if not fact.is_stated}
+    assert left_open == {*leaves_open.TRIED, *leaves_open.ELSEWHERE}
+    tried = [choice for choices in leaves_open.TRIED.values() for choice in choices]
+    assert sorted(tried) == sorted(sensitivity.CHOICES)
+    table = leaves_open.build(SMALL, Answers())
+    assert len(table.rows) == len(tried) + len(leaves_open.ELSEWHERE)
+
+
+def test_a_choice_decides_where_a_value_loses_half_of_the_windings_and_comes_first():
+    table = leaves_open.build(SMALL, Answers({'"dead_band": 0.1': {"penetration": 9e-3}}))
+    first = dict(zip([column.key for column in table.columns], table.rows[0], strict=True))
+    assert first["choice"] == "dead band of Eq. 21 [–]"
+    assert first["matters"] == "decides"
+    assert {row[3] for row in table.rows[1:]} == {"little", "–"}
+    assert leaves_open.matters([leaves_open.Effect(4, 1, "", ""), leaves_open.Effect(4, 0, "", "")]) == "matters"
 
 
 @pytest.mark.parametrize(
@@ -212,6 +235,7 @@ def test_sensitivity_changes_one_choice_at_a_time_from_one_default():
         table_8_windings,
         table_9_ablation,
         sensitivity,
+        leaves_open,
         outcomes,
         closed_form_map,
         closed_form_stability,
