@@ -15,7 +15,7 @@ from paper_repro.windings import CRITERION, DRIVER, TERM_TITLES, counted, figure
 from prioritized_ik.models import Arm, update_kinematics
 from prioritized_ik.validation import Array
 from prioritized_ik.winding.episode import Episode, Outcome, wind
-from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
+from prioritized_ik.winding.settings import WindingSettings
 
 SIDES = ("front", "back")  # along y, where all arms have hinges that bend them in one plane
 
@@ -42,10 +42,10 @@ OBJECTS: dict[str, dict[str, Any]] = {
     "ellipsoid": {"shape": "ellipsoid", "size": (0.06, 0.09, 0.2)},
 }
 METHODS: dict[str, dict[str, Any]] = {
-    "virtual arms, Eq. 23, closed form": {"solver": CLOSED_FORM},
-    "virtual arms, Eq. 23, QP": {"solver": DRIVER, "limits": True, "contacts": True},
-    "strict equality priorities": {"solver": CLOSED_FORM, "weights": "strict"},
-    "lateral inhibition": {"solver": CLOSED_FORM},
+    "virtual arms, Eq. 23, closed form": {},
+    "virtual arms, Eq. 23, QP": {"limits": True, "contacts": True},
+    "strict equality priorities": {"weights": "strict"},
+    "lateral inhibition": {},
 }
 PLANAR = "lateral inhibition"
 
@@ -110,7 +110,7 @@ def rival(arm: str, wound: str, method: str, side: str) -> dict[str, Any]:
 def episode_of(arm: str, wound: str, method: str, side: str) -> Episode:
     """Return the winding of an arm of `ARMS`, an object of `OBJECTS` and a method of `METHODS`."""
     model, link = ARMS[arm]
-    free = {"limits": False, "contacts": False}
+    free = {"solver": DRIVER, "limits": False, "contacts": False}
     chosen = WindingSettings(**{**free, **OBJECTS[wound], **METHODS[method]}, arm=model, link=link, direction=side)
     return wind(chosen, LateralInhibition(chosen) if method == PLANAR else None)
 

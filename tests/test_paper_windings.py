@@ -35,7 +35,10 @@ from paper_repro.windings import (
 )
 from prioritized_ik.errors import InputError
 from prioritized_ik.models import DIRECTIONS, Arm
+from prioritized_ik.solvers.closed_form import minimum_norm_solution, rank_decomposition_svd, weighted_optimum
+from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.solvers.step import StepStatus
+from prioritized_ik.winding.episode import wind
 from prioritized_ik.winding.picture import View
 
 SMALL = Scale("full", seeds=3, steps=1, directions=("up", "front"), solvers=None)
@@ -71,6 +74,23 @@ class Answers(Results):
     def __getitem__(self, job: Job) -> dict:
         text = job.arguments.get("settings", "")
         return {**GOOD, **next((other for part, other in self.others.items() if part in text), {})}
+
+
+@pytest.mark.parametrize("weights", ["eq23", "strict"])
+def test_windings_by_the_closed_form_take_the_steps_of_eqs_12_and_14(weights):
+    """Against the equations one by one; with strict priorities against their nullspace form."""
+    episode = wind(settings("closed form", link=14, weights=weights, direction="front"))
+    tolerance = episode.settings.options.rank_tolerance
+    assert set(episode.status) == {StepStatus.CLOSED_FORM.name}
+    for problem, dtheta in zip(episode.problems(), episode.dtheta, strict=True):
+        if weights == "strict":
+            expected = strict_solution(problem.levels, problem.reference, tolerance)
+        else:
+            (level,) = problem.levels
+            split = rank_decomposition_svd(level.matrix, tolerance)  # Eq. (6)
+            dx_b = weighted_optimum(split.j_a, level.weights, level.target)  # Eq. (12)
+            expected = minimum_norm_solution(split.j_b, dx_b)  # Eq. (14)
+        assert dtheta == pytest.approx(expected, abs=1e-9 * max(1.0, np.abs(expected).max()))
 
 
 def test_a_good_winding_is_wound_in_every_term():
