@@ -64,6 +64,23 @@ def test_roll_is_the_turn_of_a_link_about_itself() -> None:
     assert scene.roll() == pytest.approx(0.3)
 
 
+def test_what_virtual_end_points_do_not_feel_is_links_rolling_about_themselves() -> None:
+    """Why the second approach lets objects sink along an upright axis, whatever the friction."""
+    scene = Scene(FRONT)
+    model, data, m = scene.model, scene.data, scene.joints
+    _, values, directions = np.linalg.svd(scene.jacobian())
+    unfelt = directions[np.count_nonzero(values > 1e-6) :]
+    assert len(unfelt) >= 15
+    turning, rolls = np.empty((3, model.nv)), []
+    for body in scene.sensor.bodies:
+        mujoco.mj_jacBody(model, data, None, turning, body)
+        axis = data.xmat[body].reshape(3, 3)[:, 0]
+        spins = turning[:, :m] @ unfelt.T  # (3, d)
+        assert np.abs(np.cross(axis, spins, axisb=0)).max() < 1e-6
+        rolls.append(float(np.abs(spins).max()))
+    assert max(rolls) > 0.1
+
+
 def test_nothing_is_held_without_torque_or_without_friction(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sabotage: it is the control that holds, and along an upright axis it is friction."""
     monkeypatch.setattr(holding, "SHAKE", 0.5)
