@@ -24,10 +24,12 @@ MOST = 65.0  # [mm] of slip that is drawn; trials end at 60
 CAPTION = f"""\
 Above: the arm wound around each object of Table 14 when it is let go, seen along the object's axis, ends of links as
 dots. Below: how far marks on links and object have come apart, median of the wound links, while the arm grips, is lifted
-and is shaken, with gravity, by the three controls; a line that ends is an object that fell. The dotted line is
+(grey) and is shaken, with gravity, by the three controls; a line that ends is an object that fell. The dotted line is
 {1e3 * SLIPPED:g} mm, beyond which an object does not count as held.
 
-**To see:** TODO It does *not* show how hard the grips press: see Table 14.
+**To see:** around a level axis the object is caged. Along an upright one it falls from the first approach when gravity
+comes on, and sinks in the second's grip, on links that roll; the hierarchy of torques lets it creep. It does *not* show
+how hard the grips press: see Table 14.
 """
 
 
@@ -90,7 +92,7 @@ def _phases(axes: "Axes", named: bool) -> None:
     axes.axvspan(ends[1], ends[2], color="#EEEEEE", linewidth=0.0)
     axes.axhline(1e3 * SLIPPED, color=COLOURS["grey"], linestyle=":", linewidth=0.8)
     if named:
-        for name, place in zip(("grip", "lift", "shake"), (*(0.5 * (ends[:2] + ends[1:3])), ends[2] + 1.0), strict=True):
+        for name, place in zip(("lift", "shake"), (0.5 * (ends[1] + ends[2]), ends[2] + 1.0), strict=True):
             axes.text(place, 0.97 * MOST, name, ha="center", va="top", fontsize=6.0)
     axes.set(xlim=(0.0, ends[-1]), ylim=(0.0, MOST))
 

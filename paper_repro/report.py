@@ -37,6 +37,10 @@ What a reader of the paper may want to know first:
 - Lateral inhibition winds without folding, but in a plane, and beyond a full turn into itself. *Table 12.*
 - The paper's second approach, end-point springs and τ = Jᵀ F_v with the weights of Eq. 23 as stiffnesses, winds a dynamic
   arm within a joint's range, more than a turn too, where the first folds. *Table 13.*
+- Held and shaken, what is wound is caged around a level axis. Along an upright one neither approach is enough: virtual end
+  points do not feel links roll, and dθ* hardly presses. A strict hierarchy of torques holds it. *Table 14.*
+- The time step, the contact distance and the dead band of Eq. 21, none of which is stated, decide whether the arm winds at
+  all; the pose, the tilt and the first link whether the closed form does. *What the paper leaves open.*
 
 Under every table and figure stands the command that makes it. `tables.tex` has all tables as one document of LaTeX.
 """

@@ -81,8 +81,8 @@ within a joint's range, where the first folds: it does not ask the free tail to 
 N/m, its inertia and the joints' friction, and is drawn along. With those of Eq. 24, springs of 1 N/m, the tail stays,
 and folds as by the first. In joint space the dynamic arm does what the kinematic one does: it winds from link {SHORT}
 on, and from {LONG} on it meets its own tail behind the object, now with forces. Contact is felt at 2 mm, where a link
-stops being driven: a force of 0 says that it came to rest there. This does *not* show holding, lifting, gravity, or
-other gains.
+stops being driven: a force of 0 says that it came to rest there. This does *not*
+show other gains; holding, lifting and gravity are in Table 14.
 """
 
 
