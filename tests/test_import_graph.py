@@ -27,6 +27,7 @@ LAYERS = [
     {"tasks", "guard", "examples"},
     {"joint_limits", "collision", "support", "model_equalities"},
     {"solvers"},
+    {"curvature"},
     {"motion"},
     {"reaching"},
     {"scene"},

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.guard import OUTSIDE, Guarded, Limit, Way
+from prioritized_ik.guard import END, OUTSIDE, Guarded, Limit, Way
 from prioritized_ik.robot import Robot
 from prioritized_ik.tasks.turns import turned
 from prioritized_ik.validation import Array, gain_of, non_negative, one_of, positive
@@ -94,6 +94,15 @@ class Collision(Limit):
             found[number] = self._measured(robot, *self.pairs[number], segment)
         return found
 
+    def room(self, robot: Robot) -> dict[str, float]:
+        """Return each near pair's distance less `min_distance` [m]."""
+        distances = self.distances(robot)
+        near = np.flatnonzero(distances < self._reach).tolist()
+        return {self._row_name(*self.pairs[number]): float(distances[number]) - self._least for number in near}
+
+    def _row_name(self, one: int, other: int) -> str:
+        return f"{self._names[one]} near {self._names[other]}"
+
     def nearest_points(self, robot: Robot) -> list[tuple[str, Array, Array]]:
         """Return what every row is called, and the points `(3,)`, `(3,)` [m] that it keeps apart."""
         return [(near.name, near.segment[:3], near.segment[3:]) for near in self._met(robot)]
@@ -119,12 +128,12 @@ class Collision(Limit):
             if distance >= self._reach:
                 continue
             name, normal = (
-                f"{self._names[one]} near {self._names[other]}",
+                self._row_name(one, other),
                 self._normal(robot, one, other, segment, distance),
             )
             met.append(_Near(one, other, name, distance, segment, normal))
             for place, end in enumerate(self._ends(robot, one, other, segment, normal), 2):
-                met.append(_Near(one, other, f"{name}, end {place}", float(normal @ (end[:3] - end[3:])), end, normal))
+                met.append(_Near(one, other, f"{name}{END}{place}", float(normal @ (end[:3] - end[3:])), end, normal))
         return met
 
     def _near(self, robot: Robot) -> list[int]:

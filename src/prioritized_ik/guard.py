@@ -16,6 +16,9 @@ from prioritized_ik.validation import Array, positive
 OUTSIDE = ("raise", "hold", "return", "require")
 
 
+END = ", end "  # rows of one pair of geoms are called by the pair's name, those of further points with this behind it
+
+
 @dataclass(frozen=True)
 class Guarded:
     """What a limit says of one step dθ `(nv,)`.
@@ -58,6 +61,13 @@ class Limit(ABC):
 
     @abstractmethod
     def _at(self, robot: Robot, dt: float) -> Guarded: ...
+
+    def room(self, robot: Robot) -> dict[str, float]:
+        """Return what is left by name of the hard rows [units of the rows], below zero where they are broken.
+
+        Rows that belong together are called by one name, then `END` and more. None of a limit whose rows are exact.
+        """
+        return {}
 
 
 @dataclass(frozen=True)

@@ -86,25 +86,37 @@ class JointRange(Limit):
         matrix[np.arange(len(out)), dofs[out]] = np.where(low, -1.0, 1.0)
         return Bounds(lower, upper, names), Rows(matrix, -back, [f"{names[dofs[i]]} return" for i in out])
 
+    def room(self, robot: Robot) -> dict[str, float]:
+        """Return how much further each limited ball joint may turn [rad]; the bounds of other joints are exact."""
+        return {self._ball_name(robot, joint): room for joint, _, room in self._turns(robot)}
+
     def _ball_rows(self, robot: Robot, dt: float) -> Guarded:
-        model = robot.model
-        if not self._balls.size:
+        turns = self._turns(robot)
+        if not turns:
             return Guarded()
-        matrix, room, names = np.zeros((len(self._balls), model.nv)), np.zeros(len(self._balls)), []
-        for i, joint in enumerate(self._balls):
-            turn = np.empty(3)
-            place, dof = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
-            mujoco.mju_quat2Vel(turn, robot.data.qpos[place : place + 4], 1.0)
-            angle = float(np.linalg.norm(turn))
-            room[i] = model.jnt_range[joint, 1] - self._margin - angle
+        matrix = np.zeros((len(turns), robot.model.nv))
+        for i, (joint, turn, room) in enumerate(turns):
+            dof, angle = robot.model.jnt_dofadr[joint], float(np.linalg.norm(turn))
             matrix[i, dof : dof + 3] = turn / angle if angle > ROUNDING else 0.0
-            names.append(f"{robot.names('joint')[joint]} range")
-            if self._outside == "raise" and room[i] + self._margin < -BALL_DRIFT:
+            if self._outside == "raise" and room + self._margin < -BALL_DRIFT:
                 raise InputError(
                     f"ball joint {robot.names('joint')[joint]} is turned by {angle:.6g}, outside its range of "
-                    f"{model.jnt_range[joint, 1]:.6g}; move it inside, or choose outside='return'."
+                    f"{robot.model.jnt_range[joint, 1]:.6g}; move it inside, or choose outside='return'."
                 )
-        return Way(self._outside, self._gain, self._speed, ROUNDING).guarded(matrix, room, names, dt)
+        rooms, names = np.array([room for _, _, room in turns]), [self._ball_name(robot, joint) for joint, _, _ in turns]
+        return Way(self._outside, self._gain, self._speed, ROUNDING).guarded(matrix, rooms, names, dt)
+
+    def _turns(self, robot: Robot) -> list[tuple[int, Array, float]]:
+        """Return each limited ball joint, its rotation vector `(3,)`, and how much further it may turn [rad]."""
+        turns = []
+        for joint in self._balls.tolist():
+            turn, place = np.empty(3), robot.model.jnt_qposadr[joint]
+            mujoco.mju_quat2Vel(turn, robot.data.qpos[place : place + 4], 1.0)
+            turns.append((joint, turn, float(robot.model.jnt_range[joint, 1] - self._margin - np.linalg.norm(turn))))
+        return turns
+
+    def _ball_name(self, robot: Robot, joint: int) -> str:
+        return f"{robot.names('joint')[joint]} range"
 
 
 class Velocity(Limit):

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from prioritized_ik.curvature import Straight
 from prioritized_ik.errors import InputError
 from prioritized_ik.guard import Guarded, Limit
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
@@ -20,6 +21,8 @@ from prioritized_ik.tolerances import NOISE
 from prioritized_ik.validation import Array, non_negative, positive
 
 Levels = Sequence[Task | Sequence[Task]]
+
+ACCURACY = 1e-4  # [m, rad] how far the curvature may take a step from where its rows say
 
 RECOVERY = "recovery of limits"  # what the level above all tasks is called
 
@@ -63,16 +66,22 @@ def build_problem(
     robot: Robot, levels: Levels, limits: Sequence[Limit] = (), dt: float = 0.01, *, damping: float = 1.0
 ) -> IKProblem:
     """Return the problem of the next step dθ `(nv,)`, without solving it; see `solve_step`."""
+    return _problem(robot, grouped(levels), _guards(robot, limits, dt), non_negative("damping", damping))
+
+
+def _guards(robot: Robot, limits: Sequence[Limit], dt: float) -> list[Guarded]:
     positive("dt", dt)
-    groups = grouped(levels)
-    guards = [_limit(limit).at(robot, dt) for limit in _listed(limits)]
+    return [_limit(limit).at(robot, dt) for limit in _listed(limits)]
+
+
+def _problem(robot: Robot, groups: list[list[Task]], guards: Sequence[Guarded], damping: float) -> IKProblem:
     bounds = Bounds.none(robot.model.nv)
     for guard in guards:
         bounds = guard.bounds.intersect(bounds) if guard.bounds is not None else bounds
     fixed = _together([guard.equalities for guard in guards if guard.equalities is not None], robot.model.nv)
     recovery = [Level(rows.matrix, rows.upper, name=RECOVERY, kind="at_most") for rows in _joined_recovery(guards)]
     return IKProblem(
-        [*recovery, *_task_levels(robot, groups, non_negative("damping", damping), fixed)],
+        [*recovery, *_task_levels(robot, groups, damping, fixed)],
         bounds,
         Rows.joined([guard.rows for guard in guards if guard.rows is not None], robot.model.nv),
         equalities=fixed,
@@ -87,6 +96,7 @@ def solve_step(
     dt: float = 0.01,
     *,
     damping: float = 1.0,
+    accuracy: float | None = ACCURACY,
     solver: str | Method = DEFAULT,
 ) -> Motion:
     """Return the robot's next step: every level of tasks among the optima of those above it, under all limits.
@@ -97,20 +107,32 @@ def solve_step(
     a level's weakest direction, alone or among those that the levels above leave, levels below get nothing: they would
     swing in a null space that turns from step to step.
 
+    Rows are of first order. A step of joints dθ that reach L moves points by up to ½ L (Σ|dθ_i|)² besides: half a
+    millimetre for 1 m and 3 % of a radian in all. Where a step would so leave a level that it meets, or break a limit, by
+    more than `accuracy`, it is solved again with that taken off, up to three times; one that breaks a limit all the same
+    is made shorter. `Motion.problem` is then the problem solved last.
+
     Args:
         robot: up to date; it does not move.
         levels: the most important first: a task, or a list of tasks that share a level by their weights.
         limits: such as `JointRange`, `Velocity` and `Collision`.
         dt: time step [s].
         damping: 0 for none, 1 for as much as the curvature may need.
+        accuracy: see above [m, rad]; None for steps of first order alone.
         solver: see `solve`.
 
     Raises:
         InputError: an argument out of range or of another model.
         StepNotFoundError: see `solve`.
     """
-    problem = build_problem(robot, levels, limits, dt, damping=damping)
-    step = solve(problem, solver)
+    groups, guards = grouped(levels), _guards(robot, limits, dt)
+    problem = _problem(robot, groups, guards, non_negative("damping", damping))
+    if accuracy is None:
+        step = solve(problem, solver)
+    else:
+        kept = list(zip(limits, guards, strict=True))
+        straight = Straight(robot, [tasks for tasks in groups if tasks], kept, positive("accuracy", accuracy))
+        problem, step = straight.solved(problem, lambda posed: solve(posed, solver))
     assert step.dtheta is not None
     return Motion(step.dtheta / dt, step, problem)
 

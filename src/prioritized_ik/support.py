@@ -67,6 +67,10 @@ class SupportPolygon(Limit):
         """Return how far inside the nearest edge the centre of mass is [m], its `margin` aside; below zero outside."""
         return min(edge[0] for edge in self._edges(robot))
 
+    def room(self, robot: Robot) -> dict[str, float]:
+        """Return the distance from every edge less `margin` [m]."""
+        return {f"support edge {name}": distance - self._margin for distance, name, _ in self._edges(robot)}
+
     def _at(self, robot: Robot, dt: float) -> Guarded:
         edges = self._edges(robot)
         room = np.array([distance - self._margin for distance, _, _ in edges])

@@ -1,0 +1,179 @@
+"""What a step leaves out: the second order of tasks and limits, put back by solving the step again."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from prioritized_ik.errors import StepNotFoundError
+from prioritized_ik.guard import END, Guarded, Limit
+from prioritized_ik.problem import IKProblem, Level, Rows, replaced
+from prioritized_ik.robot import Robot
+from prioritized_ik.solvers.step import JointStep
+from prioritized_ik.tasks.task import Task
+from prioritized_ik.validation import Array
+
+CORRECTIONS = 3  # each leaves an error of one order more
+DEEPER = 0.01  # of the accuracy is what a step may take of a row that is broken by more
+HALVINGS = 10  # of a step that breaks a limit by its curvature all the same; the last is a thousandth as long
+
+Solved = tuple[IKProblem, JointStep]
+
+
+@dataclass(frozen=True)
+class Straight:
+    """Steps of a robot that end where their rows say, to within an accuracy.
+
+    A step dθ moves a point by J dθ and a term of second order, at most ½ L (Σ|dθ_i|)² for joints that a length L
+    reaches, in the joint metric. What it comes to is looked up at the end of the step, and the step is solved again with
+    it taken off: from the targets of levels that the step meets, and from the sides of the hard rows that it would break.
+    A step that breaks one all the same is made shorter.
+
+    Attributes:
+        robot: that is to move; it is back where it was after each call.
+        levels: the tasks of each level, none of them empty.
+        limits: each with what it says of the step.
+        accuracy: how far off a step may end [m, rad].
+    """
+
+    robot: Robot
+    levels: Sequence[Sequence[Task]]
+    limits: Sequence[tuple[Limit, Guarded]]
+    accuracy: float
+
+    def solved(self, problem: IKProblem, solve: Callable[[IKProblem], JointStep]) -> Solved:
+        """Return a step that ends where its rows say, and the problem that it is the answer to.
+
+        Args:
+            problem: of the step.
+            solve: returns the step of a problem.
+        """
+        step = solve(problem)
+        assert step.dtheta is not None
+        if self._is_short(problem, step.dtheta):
+            return problem, step
+        rooms = [limit.room(self.robot) for limit, _ in self.limits]
+        errors = [[task.rows(self.robot)[1] for task in tasks] for tasks in self.levels]
+        for _ in range(CORRECTIONS):
+            assert step.dtheta is not None
+            ends, broken = self._ahead(step.dtheta, rooms)
+            corrected = self._corrected(problem, step.dtheta, errors, ends, broken)
+            if corrected is None and not any(broken):
+                return problem, step
+            try:
+                problem, step = (problem, step) if corrected is None else (corrected, solve(corrected))
+            except StepNotFoundError:
+                break  # the room there is, is not enough for the correction
+        return self._shortened(problem, step, rooms, solve)
+
+    def _is_short(self, problem: IKProblem, dtheta: Array) -> bool:
+        """Whether the term of second order is below a tenth of the accuracy."""
+        length = max(float(self.robot.model.stat.extent), 1.0)
+        return 0.5 * length * float(np.abs(problem.to_metric(dtheta)).sum()) ** 2 <= 0.1 * self.accuracy
+
+    def _ahead(self, dtheta: Array, rooms: Sequence[dict[str, float]]) -> tuple[list[list[Array]], list[dict[str, float]]]:
+        """Return each task's error after a step, and what the step breaks of each limit, by how much."""
+        robot, q, velocity = self.robot, self.robot.q, self.robot.velocity
+        try:
+            robot.integrate(dtheta, 1.0)
+            ends = [[task.rows(robot)[1] for task in tasks] for tasks in self.levels]
+            after = [limit.room(robot) for limit, _ in self.limits]
+        finally:
+            robot.data.qvel[:] = velocity
+            robot.update(q)
+        return ends, [_broken(room, end, self.accuracy) for room, end in zip(rooms, after, strict=True)]
+
+    def _corrected(
+        self,
+        problem: IKProblem,
+        dtheta: Array,
+        errors: Sequence[Sequence[Array]],
+        ends: Sequence[Sequence[Array]],
+        broken: Sequence[dict[str, float]],
+    ) -> IKProblem | None:
+        """Return the problem with what a step leaves out taken off, or None where there is nothing to take it off."""
+        first = len(problem.levels) - len(self.levels)
+        levels = [
+            _aimed(level, tasks, before, end, dtheta, self.accuracy)
+            for level, tasks, before, end in zip(problem.levels[first:], self.levels, errors, ends, strict=True)
+        ]
+        upper = self._tightened(problem, dtheta, broken)
+        if upper is None and all(level is None for level in levels):
+            return None
+        kept = [new or old for new, old in zip(levels, problem.levels[first:], strict=True)]
+        rows = problem.rows if upper is None else replaced(problem.rows, upper=upper)
+        return _with(problem, [*problem.levels[:first], *kept], rows)
+
+    def _tightened(self, problem: IKProblem, dtheta: Array, broken: Sequence[dict[str, float]]) -> Array | None:
+        """Return the sides `(r,)` of hard rows, those that the step would break less by how much it would."""
+        slack = problem.rows.upper - problem.rows.matrix @ dtheta
+        upper, first = problem.rows.upper.copy(), 0
+        for (_, guard), excesses in zip(self.limits, broken, strict=True):
+            names = [] if guard.rows is None else [name.partition(END)[0] for name in guard.rows.names]
+            for name, excess in excesses.items():
+                rows = [first + place for place, known in enumerate(names) if known == name]
+                if rows:  # what was too far away to have one is met by a shorter step
+                    nearest = min(rows, key=lambda row: float(slack[row]))
+                    upper[nearest] -= max(float(slack[nearest]), 0.0) + excess
+            first += len(names)
+        return None if (upper == problem.rows.upper).all() else upper
+
+    def _shortened(
+        self,
+        problem: IKProblem,
+        step: JointStep,
+        rooms: Sequence[dict[str, float]],
+        solve: Callable[[IKProblem], JointStep],
+    ) -> Solved:
+        """Return the step that breaks no row, halved as often as that takes."""
+        assert step.dtheta is not None
+        shares = [0.5**halvings for halvings in range(HALVINGS + 1)]
+        share = next((share for share in shares if not any(self._ahead(share * step.dtheta, rooms)[1])), shares[-1])
+        if share == 1.0:
+            return problem, step
+        shorter = _scaled(problem, share)
+        return shorter, solve(shorter)
+
+
+def _broken(before: dict[str, float], after: dict[str, float], accuracy: float) -> dict[str, float]:
+    """Return by how much each room is less than none, or than it was where that is less; those that may not be so small.
+
+    None may be below minus the accuracy, so that what steps take does not add up, or below what it was.
+    """
+    least = {name: min(before.get(name, 0.0), 0.0) for name in after}
+    allowed = {name: -accuracy if room >= -accuracy else room - DEEPER * accuracy for name, room in least.items()}
+    return {name: least[name] - room for name, room in after.items() if room < allowed[name]}
+
+
+def _aimed(
+    level: Level, tasks: Sequence[Task], before: Sequence[Array], after: Sequence[Array], dtheta: Array, accuracy: float
+) -> Level | None:
+    """Return a level that asks for what the step left out, too; None if it met nothing or left out little."""
+    wanted = np.concatenate([(1.0 - task.gain) * error for task, error in zip(tasks, before, strict=True)])
+    left_out = np.concatenate(after) - wanted
+    counted = level.weights > 0.0
+    unmet = np.abs(level.target - level.matrix @ dtheta)[counted].max(initial=0.0)
+    # An error that is made every step, and of which every step takes a share, adds up to one divided by the other.
+    allowed = np.concatenate([np.full(task.size, 0.5 * task.gain * accuracy) for task in tasks])
+    if unmet > accuracy or (np.abs(left_out) <= allowed)[counted].all():
+        return None
+    return replaced(level, target=level.target + left_out)
+
+
+def _scaled(problem: IKProblem, share: float) -> IKProblem:
+    """Return the problem whose step is a share of this one's."""
+    bounds, rows, fixed = problem.bounds, problem.rows, problem.equalities
+    scaled = _with(
+        problem,
+        [replaced(level, target=share * level.target) for level in problem.levels],
+        replaced(rows, upper=share * rows.upper),
+    )
+    return replaced(
+        scaled,
+        bounds=replaced(bounds, lower=share * bounds.lower, upper=share * bounds.upper),
+        equalities=replaced(fixed, target=share * fixed.target),
+    )
+
+
+def _with(problem: IKProblem, levels: Sequence[Level], rows: Rows) -> IKProblem:
+    return replaced(problem, levels=tuple(levels), rows=rows)
