@@ -6,7 +6,7 @@ stand at a limit or near it, and its targets: what it would see at another confi
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import mujoco
 import numpy as np
@@ -294,8 +294,12 @@ class Scene:
 
     def bounds(self) -> Bounds:
         """Return the joints' ranges and longest steps."""
-        ranges = joint_range_bounds(self.model, self.now.qpos)
-        return ranges.intersect(Bounds(-self.step, self.step, joint_names(self.model)))
+        return joint_range_bounds(self.model, self.now.qpos).intersect(self._longest)
+
+    @cached_property
+    def _longest(self) -> Bounds:
+        """The longest steps, which the scene's state does not change."""
+        return Bounds(-self.step, self.step, joint_names(self.model))
 
     def above(self, site_name: str, height: float) -> Rows:
         """Return the row that keeps a site above a `height` [m], or from sinking where it is below."""

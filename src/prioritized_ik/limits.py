@@ -19,6 +19,9 @@ CONTACT_MARGIN = 0.05  # [m] only links nearer to the object than this get a con
 #: Names of joints by model: they cannot change, and asking MuJoCo for each takes longer than all else here.
 _NAMES: weakref.WeakKeyDictionary[mujoco.MjModel, tuple[str, ...]] = weakref.WeakKeyDictionary()
 
+#: Limited hinges and slides by model and by which joints it has limited now: their numbers, and places in dθ and q.
+_LIMITED: weakref.WeakKeyDictionary[mujoco.MjModel, dict[bytes, tuple[NDArray[np.int_], ...]]] = weakref.WeakKeyDictionary()
+
 
 def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     """Return one name a degree of freedom `(m,)`: that of its joint, numbered from 1 where the joint has several."""
@@ -58,12 +61,16 @@ def joint_metric(model: mujoco.MjModel, length: float | None = None) -> Array:
     return np.where(translates, 1.0 / size**2, 1.0)
 
 
-def scalar_ranges(model: mujoco.MjModel) -> tuple[NDArray[np.int_], Array, Array]:
-    """Return the numbers of the limited hinges and slides `(k,)`, and the ends of their ranges `(k,)` [rad, m]."""
-    scalar = (model.jnt_type == _HINGE) | (model.jnt_type == _SLIDE)
-    joints = np.flatnonzero(scalar & (model.jnt_limited != 0))
-    low, high = model.jnt_range[joints].T.copy()
-    return joints, low, high
+def limited_scalars(model: mujoco.MjModel) -> tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:
+    """Return the numbers of the limited hinges and slides `(k,)`, and their places in dθ and in q."""
+    by_limited, limited = _LIMITED.setdefault(model, {}), model.jnt_limited
+    key = limited.tobytes()
+    if key not in by_limited:
+        scalar = (model.jnt_type == _HINGE) | (model.jnt_type == _SLIDE)
+        joints = np.flatnonzero(scalar & (limited != 0))
+        by_limited[key] = joints, model.jnt_dofadr[joints], model.jnt_qposadr[joints]
+    joints, dofs, places = by_limited[key]
+    return joints, dofs, places
 
 
 def joint_range_bounds(model: mujoco.MjModel, q: ArrayLike) -> Bounds:
@@ -74,13 +81,16 @@ def joint_range_bounds(model: mujoco.MjModel, q: ArrayLike) -> Bounds:
     """
     position = finite_array("q", q, (model.nq,))
     names = joint_names(model)
-    lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
-    joints, low, high = scalar_ranges(model)
-    dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
+    lower, upper = np.empty(model.nv), np.empty(model.nv)
+    lower.fill(-np.inf)
+    upper.fill(np.inf)
+    joints, dofs, places = limited_scalars(model)
+    low, high = model.jnt_range[joints].T
     here = position[places]
     down, up = low - here, high - here
-    if down.max(initial=0.0) > OUTSIDE or up.min(initial=0.0) < -OUTSIDE:
-        worst = int(np.maximum(down, -up).argmax())
+    excess = np.maximum(down, -up)
+    if (excess > OUTSIDE).any():
+        worst = int(excess.argmax())
         raise InputError(
             f"{names[dofs[worst]]} is at {position[places[worst]]:.6g}, outside its range "
             f"[{low[worst]:.6g}, {high[worst]:.6g}]; move it inside, or drop the joint limits."

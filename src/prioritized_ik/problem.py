@@ -86,8 +86,11 @@ class Level:
             raise InputError(f"damping of level {name!r} is {damping}; expected 0, as soft inequalities have none.")
         checked = finite_array(f"matrix of level {name!r}", matrix, (None, None))
         k = checked.shape[0]
-        diagonal = finite_array(f"weights of level {name!r}", np.ones(k) if weights is None else weights, (k,))
-        if (diagonal < 0.0).any():
+        if weights is None:
+            diagonal = _ones(k)
+        else:
+            diagonal = finite_array(f"weights of level {name!r}", weights, (k,))
+        if weights is not None and (diagonal < 0.0).any():
             place = int(np.argmin(diagonal))
             raise InputError(f"weights of level {name!r}[{place}] is {diagonal[place]}; expected numbers of at least 0.")
         what = f"target of level {name!r}"
@@ -136,9 +139,9 @@ class Bounds:
         low = shaped_array("lower bounds", lower, (None,))
         high = shaped_array("upper bounds", upper, low.shape)
         joints = _names("bounds", names, "joint", len(low))
-        crossed = np.flatnonzero((low > high) | (low == np.inf) | (high == -np.inf))
-        if crossed.size:
-            i = int(crossed[0])
+        crossed = (low > high) | (low == np.inf) | (high == -np.inf)
+        if crossed.any():
+            i = int(crossed.argmax())
             raise InputError(
                 f"'{joints[i]} lower' is {low[i]}, above '{joints[i]} upper', {high[i]}: no step keeps both; widen one."
             )
@@ -175,9 +178,9 @@ class Rows:
         checked = finite_array("matrix of rows", matrix, (None, None))
         side = _upper_side("upper side of rows", upper, len(checked))
         known = _names("rows", names, "row", len(checked))
-        never = np.flatnonzero(~checked.any(axis=1) & (side < -_rounding_of(side)))
-        if never.size:
-            i = int(never[0])
+        never = side < 0.0  # of most rows none
+        if never.any() and (never := ~checked.any(axis=1) & (side < -_rounding_of(side))).any():
+            i = int(never.argmax())
             raise InputError(f"{known[i]} is all zero but must not exceed {side[i]}, which no step can keep; leave it out.")
         _set(self, matrix=checked, upper=side, names=known)
 
@@ -262,25 +265,33 @@ class IKProblem:
         metric: ArrayLike | None = None,
         noise: float = NOISE,
     ) -> None:
-        if not isinstance(levels, Sequence) or not all(isinstance(level, Level) for level in levels):
+        if not isinstance(levels, list | tuple | Sequence) or not all([isinstance(level, Level) for level in levels]):
             raise InputError(f"levels is {levels!r}; expected a list of Level.")
         parts = (("bounds", bounds, Bounds), ("rows", rows, Rows), ("equalities", equalities, Equalities))
         for name, given, kind in parts:
             if given is not None and not isinstance(given, kind):
                 raise InputError(f"{name} is {given!r}; expected {kind.__name__} or None.")
-        widths = {f"level {level.name!r}": level.matrix.shape[1] for level in levels}
-        widths |= {} if bounds is None else {"bounds": len(bounds.lower)}
-        widths |= {} if rows is None else {"rows": rows.matrix.shape[1]}
-        widths |= {} if equalities is None else {"equalities": equalities.matrix.shape[1]}
-        widths |= {"reference": np.size(reference)} if reference is not None and not widths else {}
+        widths = [level.matrix.shape[1] for level in levels]
+        if bounds is not None:
+            widths.append(len(bounds.lower))
+        if rows is not None:
+            widths.append(rows.matrix.shape[1])
+        if equalities is not None:
+            widths.append(equalities.matrix.shape[1])
+        if reference is not None and not widths:
+            widths.append(np.size(reference))
         if not widths:
             raise InputError(
                 "the problem has neither levels nor bounds, rows, equalities or reference: no number of joints."
             )
-        m = next(iter(widths.values()))
-        for name, width in widths.items():
-            if width != m:
-                raise InputError(f"{name} has {width} joints; expected {m}, as many as {next(iter(widths))}.")
+        m = widths[0]
+        if widths.count(m) != len(widths):
+            names = [
+                *(f"level {level.name!r}" for level in levels),
+                *(name for name, given, _ in parts if given is not None),
+            ]
+            name, width = next((name, width) for name, width in zip(names, widths, strict=True) if width != m)
+            raise InputError(f"{name} has {width} joints; expected {m}, as many as {names[0]}.")
         zeros, ones, free, without, no_equality = _nothing(m)
         _set(
             self,
@@ -517,10 +528,15 @@ def trusted_problem(levels: tuple[Level, ...], bounds: Bounds | None, rows: Rows
     )
 
 
+@lru_cache(maxsize=64)
+def _ones(k: int) -> Array:
+    return read_only(np.ones(k))
+
+
 @lru_cache(maxsize=16)
 def _nothing(m: int) -> tuple[Array, Array, Bounds, Rows, Equalities]:
     """Return what problems of `m` joints have where nothing else is asked for."""
-    return read_only(np.zeros(m)), read_only(np.ones(m)), Bounds.none(m), Rows.none(m), Equalities.none(m)
+    return read_only(np.zeros(m)), _ones(m), Bounds.none(m), Rows.none(m), Equalities.none(m)
 
 
 def replaced(record: Record, /, **fields: object) -> Record:
@@ -570,9 +586,9 @@ def _rounding_of(sides: Array) -> float:
 def _upper_side(what: str, upper: ArrayLike, count: int) -> Array:
     """Return upper sides `(count,)`, which may be infinite: then there is none."""
     side = shaped_array(what, upper, (count,))
-    never = np.flatnonzero(side == -np.inf)
-    if never.size:
-        raise InputError(f"{what}[{int(never[0])}] is -inf, which no step can keep; expected numbers or inf.")
+    never = side == -np.inf
+    if never.any():
+        raise InputError(f"{what}[{int(never.argmax())}] is -inf, which no step can keep; expected numbers or inf.")
     return side
 
 

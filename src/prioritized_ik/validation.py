@@ -61,7 +61,7 @@ def tolerance_above_rounding(name: str, value: float) -> float:
 
 def one_of(name: str, value: str, choices: Iterable[str]) -> str:
     """Return `value` if it is one of `choices`."""
-    known = list(choices)
+    known = choices if isinstance(choices, tuple) else list(choices)
     if value not in known:
         raise InputError(f"unknown {name} {value!r}; choose one of: {', '.join(known)}.")
     return value
@@ -103,7 +103,10 @@ def _array_of_shape(name: str, value: ArrayLike, shape: tuple[int | None, ...]) 
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is not an array of numbers ({error}); expected shape {_text(shape)}.") from error
-    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
+    have = array.shape
+    if have != shape and not (
+        len(have) == len(shape) and all([want in (None, n) for want, n in zip(shape, have, strict=True)])
+    ):
         raise InputError(f"{name} has shape {array.shape}; expected {_text(shape)}.")
     array.setflags(write=False)
     return array
@@ -155,6 +158,8 @@ def length(vector: Array) -> float:
 
 def _number(value: object) -> float:
     """Return `value` as a float, NaN if it is no finite number (NaN fails every comparison)."""
+    if type(value) is float:
+        return value if math.isfinite(value) else math.nan
     try:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):

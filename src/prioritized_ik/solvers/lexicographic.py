@@ -62,6 +62,9 @@ class SolveOptions:
         object.__setattr__(self, "soften", tuple(self.soften))
 
 
+STANDARD = SolveOptions()
+
+
 class RowMemory:
     """The rows that the last step rested on, with a multiplier or not: where the kernel starts from by itself.
 
@@ -197,7 +200,7 @@ def _from_answer(hierarchy: Hierarchy, answer: Array, problem: IKProblem, option
 
 def first_stage(problem: IKProblem, options: SolveOptions | None = None) -> Stage:
     """Return the first stage of `problem` to look at: its `problem` is a plain `qpsolvers.Problem`."""
-    state = FoldState.whole(Hierarchy(problem, (options or SolveOptions()).rank_tolerance))
+    state = FoldState.whole(Hierarchy(problem, (options or STANDARD).rank_tolerance))
     return level_stage(state) if problem.levels else reference_stage(state)
 
 

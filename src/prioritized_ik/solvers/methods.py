@@ -18,7 +18,7 @@ from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.protocol import Backend
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.solvers.lexicographic import Clock, RowMemory, SolveOptions, fold, joint_step
+from prioritized_ik.solvers.lexicographic import STANDARD, Clock, RowMemory, SolveOptions, fold, joint_step
 from prioritized_ik.solvers.stages import Stage, damped_stage, slack_stage
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.validation import Array
@@ -212,7 +212,7 @@ class OneQp(Method):
 
     def step(self, problem: IKProblem, options: SolveOptions | None = None, place: Place | None = None) -> JointStep:
         """See `Method.step`."""
-        options = options or SolveOptions()
+        options = options or STANDARD
         by_itself = replace(options, polish=False, closed_form_first=False)
         return joint_step(problem, partial(self._answer, options), by_itself, self.name)
 
@@ -249,7 +249,7 @@ def undamped(method: Method, options: SolveOptions | None) -> SolveOptions:
     Raises:
         InputError: they ask for it.
     """
-    options = options or SolveOptions()
+    options = options or STANDARD
     if options.damping is not None:
         raise InputError(
             f"damping is {options.damping!r}, but {method.name} has none; damp a level instead: Level(damping=…)."

@@ -7,7 +7,7 @@ import numpy as np
 from prioritized_ik.errors import InfeasibleError, InputError, StepNotFoundError
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.backends.protocol import Backend
-from prioritized_ik.solvers.lexicographic import SolveOptions, joint_step
+from prioritized_ik.solvers.lexicographic import STANDARD, SolveOptions, joint_step
 from prioritized_ik.solvers.methods import Lexicographic, Method, Place
 from prioritized_ik.solvers.registry import DEFAULT, get_method
 from prioritized_ik.solvers.step import JointStep, StepStatus
@@ -40,7 +40,7 @@ def solve(problem: IKProblem, solver: str | Method | Backend = DEFAULT, options:
             f"solver is {_kind(solver)}; expected a name such as {DEFAULT!r} or 'daqp', or what get_method returned "
             "(limits belong into the IKProblem, options into options=)."
         )
-    options = options or SolveOptions()
+    options = options or STANDARD
     method = get_method(solver, options.accuracy) if isinstance(solver, str) else solver
     step = step_of(method, problem, options)
     if step.conflict is not None:

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.limits import OUTSIDE, contact_row_name, joint_names, scalar_ranges
+from prioritized_ik.limits import OUTSIDE, contact_row_name, joint_names, limited_scalars
 from prioritized_ik.problem import Bounds, Rows, trusted
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.touch import TouchSensor
@@ -86,7 +86,8 @@ class CompiledLook:
         model = sensor.model
         n, m = arms.count, model.nv
         self._core_observe, self._core_pose = core.core_scene_observe, core.core_scene_pose
-        joints, low, high = scalar_ranges(model)
+        joints, dofs, places = limited_scalars(model)
+        low, high = model.jnt_range[joints].T.copy()
         self._q, self._was = np.zeros(model.nq), np.zeros(n, dtype=bool)
         self._written = np.zeros(n * (3 * len(_VECTORS) + len(_NUMBERS)))
         self._touching, self._ends = np.zeros(n, dtype=bool), np.zeros(2, dtype=np.int32)
@@ -101,8 +102,8 @@ class CompiledLook:
             "roots": np.array(sensor.jacobians.roots[:n], dtype=np.int32),
             "end_bodies": np.array(arms.bodies, dtype=np.int32),
             "end_roots": np.array(arms.jacobians.roots, dtype=np.int32),
-            "range_dofs": np.array(model.jnt_dofadr[joints], dtype=np.int32),
-            "range_places": np.array(model.jnt_qposadr[joints], dtype=np.int32),
+            "range_dofs": np.array(dofs, dtype=np.int32),
+            "range_places": np.array(places, dtype=np.int32),
             "moves": sensor.jacobians.moving[:n].astype(np.uint8),
             "end_moves": arms.jacobians.moving.astype(np.uint8),
             "offsets": np.array(arms.offsets),
