@@ -23,9 +23,9 @@ class ActiveSet : public Written {
     }
     bool is_visited() const { return std::find(visited_.begin(), visited_.end(), digest()) != visited_.end(); }
 
-    // From the active rows to the optimum; false if that leads nowhere. No set is visited twice: where the rule would return
-    // to one, the next best row is dropped instead.
-    bool search() {
+    // From the active rows to the optimum; false if that leads nowhere in `most` sets. No set is visited twice: where the rule
+    // would return to one, the next best row is dropped instead.
+    bool search(int most) {
         Scope scope(arena_);
         int* ids = arena_.array<int>(all_);
         uint8_t* proven = arena_.array<uint8_t>(2 * all_);  // active and exceeded rows at the last proof, and the slacks there
@@ -48,7 +48,7 @@ class ActiveSet : public Written {
             }
             return false;
         };
-        for (int iteration = 0; iteration < int(tol_.ITERATIONS); iteration++) {
+        for (int iteration = 0; iteration < most; iteration++) {
             visited_.push_back(digest());
             face(ids, listed(ids));
             measure();

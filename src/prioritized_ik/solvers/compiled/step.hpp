@@ -40,13 +40,13 @@ class Step : public ActiveSet {
         for (int i = 0; i < all_; i++) guessed = guessed || (io.guess[i] && side_[i] < INFINITE);
 
         // Rows of the last step come first, as a rule they are right. A step that they hold by a multiplier is not the closed
-        // form's; any other may be, and the closed form has the first word then.
+        // form's; any other may be, and where they are not right at once the closed form has the first word. With soft levels
+        // it has it always: what its length is for needs factors of its own.
         closed_form_ = -1.0;
-        if (guessed && question != CLOSED_FORM_ONLY && !soft_) {
+        if (guessed && question == STEP && !soft_) {
             start_from_guess();
-            if (search() && (question == FROM_GUESS_ONLY || io.lists[HOLDING])) return SOLVED;
-            std::fill_n(io.lists.begin(), int(ZERO), 0);
-            io.lists[HOLDING] = 0;
+            if (search(1) && io.lists[HOLDING]) return SOLVED;
+            std::fill_n(io.lists.begin(), int(COUNTS), 0);
         }
         face(nullptr, 0);
         closed_form_ = norm(u_, m_);
@@ -59,16 +59,15 @@ class Step : public ActiveSet {
             }
             if (question == CLOSED_FORM_ONLY) return BINDING;
         }
-        // With soft levels the closed form comes first: what its length is for needs factors of its own.
-        if (guessed && soft_) {
+        if (guessed) {
             start_from_guess();
-            refactor();
-            if (search()) return SOLVED;
+            if (soft_) refactor();
+            if (search(int(tol_.ITERATIONS))) return SOLVED;
             std::memset(exceeded_, 0, all_);
-            refactor();
+            if (soft_) refactor();
         }
         std::memset(active_, 0, all_);
-        if (!search()) throw Declined{UNSETTLED};
+        if (!search(int(tol_.ITERATIONS))) throw Declined{UNSETTLED};
         return SOLVED;
     }
 
