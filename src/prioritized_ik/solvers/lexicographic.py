@@ -126,7 +126,7 @@ def joint_step(problem: IKProblem, start: Start, options: SolveOptions, method: 
         problem, options = problem.softened(options.soften), replace(options, soften=())
     if any([level.damping and level.below == "free" for level in problem.levels]):
         return _damped_step(problem, start, options).made_by(method)
-    return _undamped_step(problem, start, options).made_by(method)
+    return _undamped_step(problem, start, options, method).made_by(method)
 
 
 def _damped_step(problem: IKProblem, start: Start, options: SolveOptions) -> JointStep:
@@ -142,11 +142,11 @@ def _damped_step(problem: IKProblem, start: Start, options: SolveOptions) -> Joi
     return replace(step, timings=replace(step.timings, build=step.timings.build + timings.build))
 
 
-def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions) -> JointStep:
+def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions, method: str = "") -> JointStep:
     """Return the outcome of one solve of a problem whose damping, if any, is rows."""
     clock = Clock()
     compiled = options.polish and fast.answers(problem)
-    if compiled and (quick := _compiled_step(problem, start, options)) is not None:
+    if compiled and (quick := _compiled_step(problem, start, options, method)) is not None:
         return quick
     hierarchy = Hierarchy(problem, options.rank_tolerance)
     solution: Solution | None = None
@@ -178,17 +178,17 @@ def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions) -> J
     )
 
 
-def _compiled_step(problem: IKProblem, start: Start, options: SolveOptions) -> JointStep | None:
+def _compiled_step(problem: IKProblem, start: Start, options: SolveOptions, method: str) -> JointStep | None:
     """Return the compiled core's step, or None: from the last rows, or the closed form if it is it."""
     if isinstance(start, RowMemory):
         question = Question.STEP if options.closed_form_first else Question.FROM_GUESS_ONLY
-        step = fast.compiled_step(problem, options.rank_tolerance, start.last, question)
+        step = fast.compiled_step(problem, options.rank_tolerance, start.last, question, method)
         if step is not None and step.status is not StepStatus.CLOSED_FORM:
             start.remember(step.written.active())
         return step
     if not options.closed_form_first:
         return None
-    return fast.compiled_step(problem, options.rank_tolerance, question=Question.CLOSED_FORM_ONLY)
+    return fast.compiled_step(problem, options.rank_tolerance, question=Question.CLOSED_FORM_ONLY, method=method)
 
 
 def _from_answer(hierarchy: Hierarchy, answer: Array, problem: IKProblem, options: SolveOptions) -> JointStep | None:

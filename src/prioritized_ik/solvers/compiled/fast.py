@@ -61,6 +61,7 @@ class CompiledStep(JointStep):
     levels: Any = Late()
     zeros: Any = Late()
     active_rows: Any = Late()
+    timings: Any = Late()
     written: "Written"
 
     def late_fields(self) -> dict[str, Any]:
@@ -74,6 +75,8 @@ class CompiledStep(JointStep):
 
     def made_by(self, method: str) -> "CompiledStep":
         """See `JointStep.made_by`; what is put together when looked at stays so."""
+        if method == self.method:
+            return self
         step = object.__new__(CompiledStep)
         step.__dict__.update(self.__dict__, method=method)
         return step
@@ -88,6 +91,7 @@ class Written(NamedTuple):
     figures: Array
     lists: list[int]
     names: tuple[str, ...]
+    seconds: float
 
     def active(self) -> Remembered:
         """Return the rows that the step was computed from."""
@@ -101,6 +105,7 @@ def compiled_step(
     rank_tolerance: float,
     rows: Collection[str] | Remembered = (),
     question: Question = Question.STEP,
+    method: str = "",
 ) -> CompiledStep | None:
     """Return the certified step of a problem that the core `answers`, None if it declines.
 
@@ -109,6 +114,7 @@ def compiled_step(
         rank_tolerance: see `SolveOptions`.
         rows: those that the step may rest on, such as the last step's, or their names.
         question: the step; only a closed form that breaks no row; or no closed form first.
+        method: name of who solves.
     """
     started = perf_counter()
     flat = problem if problem.metric.ndim == 1 else problem.in_metric
@@ -133,8 +139,8 @@ def compiled_step(
         dtheta=dtheta,
         status=status,
         path="compiled",
-        timings=Timings(perf_counter() - started, 0.0),
-        written=Written(problem, rank_tolerance, dtheta, figures, lists, workspace.names),
+        method=method,
+        written=Written(problem, rank_tolerance, dtheta, figures, lists, workspace.names, perf_counter() - started),
     )
     return step
 
@@ -159,7 +165,7 @@ def _guess(rows: Collection[str] | Remembered, workspace: Workspace) -> None:
 
 def _fields(written: Written) -> dict[str, Any]:
     """Return the fields of a step that are put together late."""
-    problem, rank_tolerance, dtheta, values, lists, names = written
+    problem, rank_tolerance, dtheta, values, lists, names, seconds = written
     levels = len(problem.levels)
     end, figures = FIGURES * (levels + 1), values.tolist()
     corrections, _, _, active, exceeded, tight, zero, holding = lists[:COUNTS]
@@ -186,6 +192,7 @@ def _fields(written: Written) -> dict[str, Any]:
         "levels": DeferredReports(problem, rank_tolerance, dtheta),
         "zeros": _row_names(problem, lists[tight:zero], names[2 * problem.joint_count :]) if zero > tight else (),
         "active_rows": written.active().named(),
+        "timings": Timings(seconds, 0.0),
     }
 
 

@@ -4,6 +4,7 @@ import ctypes
 import math
 import threading
 import weakref
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +35,7 @@ class Sizes(NamedTuple):
         return Sizes(
             len(problem.reference),
             len(problem.levels),
-            sum(len(level.target) for level in problem.levels),
+            sum([len(level.target) for level in problem.levels]),
             len(problem.rows.upper),
             len(problem.equalities.target),
         )
@@ -99,6 +100,7 @@ class Workspace:
         self._names: tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, int], ...]] | None = None
         self.names: tuple[str, ...] = ()  # of upper bounds, lower bounds, rows and soft levels' rows, as lists number them
         self.numbers: dict[str, int] = {}
+        self._metric: Array | None = None
 
     def fill(self, problem: IKProblem, sizes: Sizes, rank_tolerance: float) -> None:
         """Write a problem that has room, whose metric is diagonal."""
@@ -119,25 +121,20 @@ class Workspace:
         if n := sizes.equalities:
             self.equality_matrix[:n] = problem.equalities.matrix
             self.equality_target[:n] = problem.equalities.target
-        np.sqrt(problem.metric, out=self.metric_root)
+        if problem.metric is not self._metric:  # arrays of a problem do not change, and most problems share this one
+            self._metric = problem.metric
+            np.sqrt(problem.metric, out=self.metric_root)
         self.reference[:] = problem.reference
         self.settings[0] = rank_tolerance
         self.settings[1] = problem.noise
 
     def name(self, problem: IKProblem) -> None:
         """Let `names` and `numbers` be those of a problem."""
-        soft = tuple([(level.name, len(level.target)) for level in problem.levels if level.is_soft])
+        soft = tuple([(level.name, len(level.target)) for level in problem.levels if level.kind == "at_most"])
         found = problem.bounds.names, problem.rows.names, soft
         if found != self._names:
             self._names = found
-            joints, rows, _ = found
-            self.names = (
-                *(f"{name} upper" for name in joints),
-                *(f"{name} lower" for name in joints),
-                *rows,
-                *(f"{name} row {i + 1}" for name, count in soft for i in range(count)),
-            )
-            self.numbers = {name: number for number, name in reversed(list(enumerate(self.names)))}
+            self.names, self.numbers = _named(*found)
 
     def solve(self, sizes: Sizes, question: Question) -> int:
         """Return the `Ending` of the problem that was written."""
@@ -145,6 +142,20 @@ class Workspace:
         if ending < 0:
             raise MemoryError("no memory for the compiled core")
         return ending
+
+
+@lru_cache(maxsize=64)  # in a loop links come near and go away again
+def _named(
+    joints: tuple[str, ...], rows: tuple[str, ...], soft: tuple[tuple[str, int], ...]
+) -> tuple[tuple[str, ...], dict[str, int]]:
+    """Return names of upper bounds, lower bounds, rows and soft levels' rows, and the number of each."""
+    names = (
+        *(f"{name} upper" for name in joints),
+        *(f"{name} lower" for name in joints),
+        *rows,
+        *(f"{name} row {i + 1}" for name, count in soft for i in range(count)),
+    )
+    return names, {name: number for number, name in reversed(list(enumerate(names)))}
 
 
 def _reals(address: int | None, rows: int, width: int | None = None) -> Array:
