@@ -4,12 +4,12 @@
 function failureCards(box, failures, rankTolerance) {
   const { groups, files } = failures;
   if (!groups.length) {
-    box.append(el("p", {}, "None found among the replayed steps and the driven windings."));
+    box.append(el("p", {}, "None found among the replayed steps and the driven episodes."));
     return;
   }
   const cards = groups.map((group) => el("div", { class: "card" },
     el("p", {}, el("b", {}, group.solver), ` ${group.what}`),
-    el("p", {}, `${group.count} of ${group.asked} ${group.windings ? "windings" : "steps"}`),
+    el("p", {}, `${group.count} of ${group.asked} ${group.windings ? "episodes" : "steps"}`),
     ...(group.message ? [el("p", { class: "message", title: group.message }, group.message)] : []),
     el("ul", {}, ...group.examples.map((one) => el("li", {}, link(one))))));
   const whole = el("div", { class: "cards" }, ...cards.slice(0, 12));

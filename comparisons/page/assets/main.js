@@ -33,13 +33,13 @@
   const shown = (course, name, title) => ({ x: course.steps, lines: course[name], bands: bandsOf(course), logY: true, xName: "step", title });
   const error = new Chart(legend, shown(data.courses[0], "error", "relative error"));
   const time = new Chart(legend, shown(data.courses[0], "time", "time of a step [ms]"));
-  const winding = choice("Winding", data.courses.map((course) => course.case), 0, (i) => {
+  const winding = choice("Episode", data.courses.map((course) => course.case), 0, (i) => {
     error.show(shown(data.courses[i], "error", "relative error"));
     time.show(shown(data.courses[i], "time", "time of a step [ms]"));
   });
   place("course-view").append(el("div", { class: "controls" }, winding.label), error.box, time.box, legend.view(),
     el("p", { class: "note" }, "The error is that of the solver's own answer: of dθ and dX against Eqs. 12 to 15 on free steps, of dX against the certified step on shaded ones."));
   if (data.courses_left_out) {
-    place("course-view").append(el("p", { class: "note" }, `${data.courses_left_out} windings more are left out here, for the size of this page.`));
+    place("course-view").append(el("p", { class: "note" }, `${data.courses_left_out} episodes more are left out here, for the size of this page.`));
   }
 })();
