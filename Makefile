@@ -5,7 +5,7 @@ READY := .venv/.ready
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: setup system compare paper test lint types unit package docs gallery readme lock clean
+.PHONY: setup system compare paper test lint types unit unit-fast package docs gallery readme lock clean
 
 setup: system $(READY)
 
@@ -43,6 +43,10 @@ types: setup
 
 unit: setup
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+# The fast three quarters of the tests, within a minute.
+unit-fast: setup
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
 
 # The wheel and the source archive: what they hold and say, and that they install and start on their own.
 package: setup

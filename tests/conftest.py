@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import paths
 import pytest
+import slow
 from tolerances import WELL_CONDITIONED
 
 from prioritized_ik import rendering
@@ -26,6 +27,14 @@ KILLS = 2  # times that a comparison is killed unless told: a few seconds each
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--campaign", type=int, default=CAMPAIGN, metavar="N", help="problems a campaign solves")
     parser.addoption("--kills", type=int, default=KILLS, metavar="N", help="times that a comparison is killed")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the slow tests."""
+    for item in items:
+        module, name = item.path.stem.removeprefix("test_"), item.name.partition("[")[0].removeprefix("test_")
+        if module in slow.MODULES or name in slow.TESTS.get(module, ()):
+            item.add_marker(pytest.mark.slow)
 
 
 def _not_run(reporter: pytest.TerminalReporter) -> dict[str, int]:
