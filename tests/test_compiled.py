@@ -22,6 +22,7 @@ from winding_fixtures import constrained_steps, free_steps, recorded
 from prioritized_ik import tolerances
 from prioritized_ik.errors import PrioritizedIkError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.solvers import compiled
 from prioritized_ik.solvers.certificate import certify
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.compiled import fast, workspace
@@ -163,6 +164,12 @@ class TestFeatures:
         assert step.tight_rows == other.tight_rows
         assert set(step.active_rows) <= set(other.active_rows)  # which has the bounds of frozen joints too
         assert [str(report) for report in step.levels] == [str(report) for report in other.levels]
+
+    def test_the_page_has_the_table_of_the_package(self) -> None:
+        page = (Path(__file__).parents[1] / "docs" / "performance.md").read_text(encoding="utf-8")
+        rows = [line for line in (compiled.__doc__ or "").splitlines() if line.startswith("| ")]
+        assert len(rows) > 8
+        assert all(row in page for row in rows)
 
     @pytest.mark.parametrize("name", ["noise", "nearly repeated equalities", "conflict"])
     def test_what_the_table_leaves_to_the_python_form_is_answered_there(self, name: str) -> None:
