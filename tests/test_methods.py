@@ -30,7 +30,7 @@ from prioritized_ik.problem import Bounds, IKProblem, Level
 from prioritized_ik.solvers import registry
 from prioritized_ik.solvers.backends.registry import installed_solvers
 from prioritized_ik.solvers.lexicographic import SolveOptions
-from prioritized_ik.solvers.methods import ClosedForm, Lexicographic, Method
+from prioritized_ik.solvers.methods import ActiveSet, ClosedForm, Lexicographic, Method
 from prioritized_ik.solvers.registry import get_method, installed_methods, known_methods
 from prioritized_ik.solvers.solve import solve, step_of
 from prioritized_ik.solvers.step import JointStep, StepStatus
@@ -112,6 +112,14 @@ def test_every_method_has_a_version_and_a_path(name: str) -> None:
     method = get_method(name)
     assert method.version[0].isdigit()
     assert method.path in ("python", "compiled")
+
+
+def test_a_solve_by_a_method_does_not_look_up_versions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which are read from files of the installation: it would take longer than the solve."""
+    method = get_method("active-set")
+    monkeypatch.setattr(ActiveSet, "version", property(lambda method: pytest.fail("asked for its version")))
+    problem = IKProblem([Level(np.eye(2), [1.0, 0.0])], Bounds([-0.5] * 2, [0.5] * 2))
+    assert solve(problem, method).dtheta.tolist() == [0.5, 0.0]
 
 
 @pytest.mark.parametrize("name", [name for name in EVERY if name.startswith("mink:")])

@@ -33,7 +33,7 @@ def solve(problem: IKProblem, solver: str | Method | Backend = DEFAULT, options:
         raise InputError(f"problem is {_kind(problem)}; expected an IKProblem, with its levels and limits.")
     if options is not None and not isinstance(options, SolveOptions):
         raise InputError(f"options is {_kind(options)}; expected SolveOptions.")
-    if isinstance(solver, Backend):
+    if not isinstance(solver, str | Method) and isinstance(solver, Backend):  # which asks for its version, from a file
         solver = Lexicographic(solver)
     if not isinstance(solver, str | Method):
         raise InputError(
