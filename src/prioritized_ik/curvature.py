@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -52,50 +53,57 @@ class Straight:
         assert step.dtheta is not None
         if self._is_short(problem, step.dtheta):
             return problem, step
-        rooms = [limit.room(self.robot) for limit, _ in self.limits]
-        errors = [[task.rows(self.robot)[1] for task in tasks] for tasks in self.levels]
+        first = problem.levels[len(problem.levels) - len(self.levels) :]
+        meant = [_left(level, tasks) for level, tasks in zip(first, self.levels, strict=True)]
         for _ in range(CORRECTIONS):
             assert step.dtheta is not None
-            ends, broken = self._ahead(step.dtheta, rooms)
-            corrected = self._corrected(problem, step.dtheta, errors, ends, broken)
+            ends, broken = self._ahead(step.dtheta)
+            left_out = [end - left for end, left in zip(ends, meant, strict=True)]
+            corrected = self._corrected(problem, step.dtheta, left_out, broken)
             if corrected is None and not any(broken):
                 return problem, step
             try:
                 problem, step = (problem, step) if corrected is None else (corrected, solve(corrected))
             except StepNotFoundError:
                 break  # the room there is, is not enough for the correction
-        return self._shortened(problem, step, rooms, solve)
+        return self._shortened(problem, step, solve)
 
     def _is_short(self, problem: IKProblem, dtheta: Array) -> bool:
         """Whether the term of second order is below a tenth of the accuracy."""
         length = max(float(self.robot.model.stat.extent), 1.0)
         return 0.5 * length * float(np.abs(problem.to_metric(dtheta)).sum()) ** 2 <= 0.1 * self.accuracy
 
-    def _ahead(self, dtheta: Array, rooms: Sequence[dict[str, float]]) -> tuple[list[list[Array]], list[dict[str, float]]]:
-        """Return each task's error after a step, and what the step breaks of each limit, by how much."""
+    @cached_property
+    def _rooms(self) -> list[dict[str, float]]:
+        """What is left of each limit where the robot is."""
+        return [limit.room(self.robot) for limit, _ in self.limits]
+
+    def _ahead(self, dtheta: Array) -> tuple[list[Array], list[dict[str, float]]]:
+        """Return each level's errors after a step, and what the step breaks of each limit, by how much."""
         robot, q, velocity = self.robot, self.robot.q, self.robot.velocity
         try:
             robot.integrate(dtheta, 1.0)
-            ends = [[task.rows(robot)[1] for task in tasks] for tasks in self.levels]
+            ends = [np.concatenate([task.rows(robot)[1] for task in tasks]) for tasks in self.levels]
             after = [limit.room(robot) for limit, _ in self.limits]
         finally:
             robot.data.qvel[:] = velocity
             robot.update(q)
-        return ends, [_broken(room, end, self.accuracy) for room, end in zip(rooms, after, strict=True)]
+        if all(room >= -self.accuracy for rooms in after for room in rooms.values()):
+            return ends, [{} for _ in after]
+        return ends, [_broken(room, end, self.accuracy) for room, end in zip(self._rooms, after, strict=True)]
 
     def _corrected(
         self,
         problem: IKProblem,
         dtheta: Array,
-        errors: Sequence[Sequence[Array]],
-        ends: Sequence[Sequence[Array]],
+        left_out: Sequence[Array],
         broken: Sequence[dict[str, float]],
     ) -> IKProblem | None:
         """Return the problem with what a step leaves out taken off, or None where there is nothing to take it off."""
         first = len(problem.levels) - len(self.levels)
         levels = [
-            _aimed(level, tasks, before, end, dtheta, self.accuracy)
-            for level, tasks, before, end in zip(problem.levels[first:], self.levels, errors, ends, strict=True)
+            _aimed(level, tasks, more, dtheta, self.accuracy)
+            for level, tasks, more in zip(problem.levels[first:], self.levels, left_out, strict=True)
         ]
         upper = self._tightened(problem, dtheta, broken)
         if upper is None and all(level is None for level in levels):
@@ -122,13 +130,12 @@ class Straight:
         self,
         problem: IKProblem,
         step: JointStep,
-        rooms: Sequence[dict[str, float]],
         solve: Callable[[IKProblem], JointStep],
     ) -> Solved:
         """Return the step that breaks no row, halved as often as that takes."""
         assert step.dtheta is not None
         shares = [0.5**halvings for halvings in range(HALVINGS + 1)]
-        share = next((share for share in shares if not any(self._ahead(share * step.dtheta, rooms)[1])), shares[-1])
+        share = next((share for share in shares if not any(self._ahead(share * step.dtheta)[1])), shares[-1])
         if share == 1.0:
             return problem, step
         shorter = _scaled(problem, share)
@@ -145,12 +152,13 @@ def _broken(before: dict[str, float], after: dict[str, float], accuracy: float) 
     return {name: least[name] - room for name, room in after.items() if room < allowed[name]}
 
 
-def _aimed(
-    level: Level, tasks: Sequence[Task], before: Sequence[Array], after: Sequence[Array], dtheta: Array, accuracy: float
-) -> Level | None:
+def _left(level: Level, tasks: Sequence[Task]) -> Array:
+    """Return the errors `(k,)` that a level means to leave: e - gain e, of its targets gain e."""
+    return level.target * np.concatenate([np.full(task.size, 1.0 / task.gain - 1.0) for task in tasks])
+
+
+def _aimed(level: Level, tasks: Sequence[Task], left_out: Array, dtheta: Array, accuracy: float) -> Level | None:
     """Return a level that asks for what the step left out, too; None if it met nothing or left out little."""
-    wanted = np.concatenate([(1.0 - task.gain) * error for task, error in zip(tasks, before, strict=True)])
-    left_out = np.concatenate(after) - wanted
     counted = level.weights > 0.0
     unmet = np.abs(level.target - level.matrix @ dtheta)[counted].max(initial=0.0)
     # An error that is made every step, and of which every step takes a share, adds up to one divided by the other.
