@@ -126,6 +126,8 @@ class TestSabotage:
         ("thin_set", 71022),
         ("near_redundant", 160967),
         ("thin_set", 191089),
+        ("thin_set", 221031),
+        ("soft_first", 220190),
     ],
     ids=[
         "rows that cancel but for rounding",
@@ -134,6 +136,8 @@ class TestSabotage:
         "rows with room that only together move a level",
         "directions that are not felt, turned towards weak ones",
         "rows that gain what the room of others is worth",
+        "a broken row whose mending moves the levels below",
+        "soft rows that are exceeded again after another row was dropped",
     ],
 )
 def test_what_rounding_leaves_of_large_terms_proves_nothing(name: str, seed: int) -> None:

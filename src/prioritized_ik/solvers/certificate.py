@@ -216,6 +216,8 @@ class Proof:
         self._blur = 0.0  # how far rounding may have turned the directions that the levels so far leave
         self._off = 0.0  # by how much the step is off at the levels so far, in what they decide
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
+        #: How far the step may go within the room that rows have: what is broken of hard ones, to begin with.
+        self._loose = float(-self.slack.min(initial=0.0, where=rows.level == HARD))
         self._handed = np.zeros(len(u))  # the displacement that would mend the levels so far, however little
         self.levels = list(self._prove())
 
@@ -337,11 +339,12 @@ class Proof:
         """Return how far the step may go while the `carrying` rows `(t,)` share out the room that they have.
 
         A level gains Σ λ_i (the room that row i loses), which is not negative: a row may lose its room, or gain what that
-        of the others is worth. Along what the level does not feel, but for rows that this does not move; or where the
+        of the others is worth. What levels above leave open moves all of them. Along what the level does not feel, but for rows that this does not move; or where the
         level's cost rises least.
         """
         rows, slack = self._hierarchy.rows, np.abs(self.slack[carrying])
-        room = np.where(slack > ROUNDING * self.scale, slack, 0.0)
+        loose = self._loose if self._loose > ROUNDING * self.scale else 0.0
+        room = np.where(slack > ROUNDING * self.scale, slack, 0.0) + loose
         worth = multipliers * room
         room = np.maximum(room, np.minimum((worth.sum() - worth) / multipliers, self.tolerance * self.scale))
         moves = rows.reach(carrying, range_.unfelt) > self._hierarchy.settled
@@ -352,7 +355,9 @@ class Proof:
                 normals = rows.matrix[carrying[among]] @ way
                 apart = float((slack[among] / lengths(normals)).sum())
                 far += max(apart, _farthest(normals, room[among], np.eye(way.shape[1])))
-        return max(far, _farthest(rows.matrix[carrying] @ basis, room, basis))
+        loosened = max(far, _farthest(rows.matrix[carrying] @ basis, room, basis))
+        self._loose = max(self._loose, loosened) if room.any() else self._loose
+        return loosened
 
     def _looked(
         self,

@@ -35,10 +35,10 @@ class ActiveSet : public Written {
         wrong_.clear();
         slacks(start_, slack_);
         auto dropped = [&] {
+            const bool other = std::memcmp(exceeded_, proven + all_, all_) != 0;
+            std::memcpy(exceeded_, proven + all_, all_);
             for (; next < wrong_.size(); next++) {
                 std::memcpy(active_, proven, all_);
-                const bool other = std::memcmp(exceeded_, proven + all_, all_) != 0;
-                std::memcpy(exceeded_, proven + all_, all_);
                 active_[wrong_[next]] = 0;
                 if (!is_visited()) {
                     if (other) refactor();

@@ -23,9 +23,20 @@ class Certified : public Face {
         blur_ = off_ = above_ = 0.0;
         for (int l = 0; l <= now_.levels; l++) {
             while (own.known < t && level_of_[ids[own.known]] < l) own.known++;
+            if (l < now_.levels && levels_[l].is_soft && !counts_what_is_exceeded(levels_[l])) throw Declined{UNSETTLED};
             if (!prove_level(own, l)) return false;
         }
         return true;
+    }
+
+    // Whether the rows that a soft level was factored with are those that u_ exceeds.
+    bool counts_what_is_exceeded(const Block& block) const {
+        int n = 0;
+        for (int i = 0; i < block.given; i++) {
+            if (!(reach_[block.soft_start + i] < -tol_.CERTIFIED * scale_)) continue;
+            if (n == block.n || block.row[n++] != matrix_ + size_t(block.first + i) * stride) return false;
+        }
+        return n == block.n;
     }
 
     // What all levels of one proof share.

@@ -26,6 +26,7 @@ class Written : public Certified {
         }
         if (!clear_cut || !(variation <= margin * tol_.UNDECIDED)) throw Declined{UNPROVEN};
         if (doubt_) throw Declined{NEARLY_DECIDED};
+        if (-worst_hard_ > tol_.ROUNDING * scale_ / margin) throw Declined{UNPROVEN};  // what mending it moves: Proof._loose
         for (int i = 0; i < all_ && (t || soft_); i++) {
             const double off = i < hard_ ? reach_[i] : abs(reach_[i]);
             if (off > margin * near && off < near / margin) throw Declined{NEARLY_TIGHT};
