@@ -339,8 +339,8 @@ class Proof:
         """Return how far the step may go while the `carrying` rows `(t,)` share out the room that they have.
 
         A level gains Σ λ_i (the room that row i loses), which is not negative: a row may lose its room, or gain what that
-        of the others is worth. What levels above leave open moves all of them. Along what the level does not feel, but for rows that this does not move; or where the
-        level's cost rises least.
+        of the others is worth. What levels above leave open moves all of them. Along what the level does not feel, but for
+        rows that this does not move; or where the level's cost rises least.
         """
         rows, slack = self._hierarchy.rows, np.abs(self.slack[carrying])
         loose = self._loose if self._loose > ROUNDING * self.scale else 0.0
