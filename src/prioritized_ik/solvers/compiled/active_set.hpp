@@ -24,7 +24,7 @@ class ActiveSet : public Written {
     bool is_visited() const { return std::find(visited_.begin(), visited_.end(), digest()) != visited_.end(); }
 
     // From the active rows to the optimum; false if that leads nowhere in `most` sets. No set is visited twice: where the rule
-    // would return to one, the next best row is dropped instead.
+    // would return to one, the next best row is dropped instead. Of some of the levels alone nothing is written.
     bool search(int most) {
         Scope scope(arena_);
         int* ids = arena_.array<int>(all_);
@@ -74,6 +74,7 @@ class ActiveSet : public Written {
             for (int i = 0; i < all_; i++)
                 if (is_near(i)) ids[t++] = i, same = same && active_[i];
             if (prove(ids, t)) {
+                if (looked_at_ < now_.levels) return true;
                 if (!same) settle(ids);
                 else conclude(ids, t);
                 return true;
@@ -110,10 +111,11 @@ class ActiveSet : public Written {
         return true;
     }
 
-    bool blocks(int i, double kept) const { return !active_[i] && !exceeded_[i] && reach_[i] < -kept; }
+    bool blocks(int i, double kept) const { return is_looked_at(i) && !active_[i] && !exceeded_[i] && reach_[i] < -kept; }
+    bool is_looked_at(int i) const { return level_of_[i] < looked_at_; }
 
-    bool is_exceeded(int i) const { return i >= hard_ && reach_[i] < -tol_.CERTIFIED * scale_; }
-    bool is_near(int i) const { return reach_[i] <= tol_.CERTIFIED * scale_ && !is_exceeded(i); }
+    bool is_exceeded(int i) const { return i >= hard_ && is_looked_at(i) && reach_[i] < -tol_.CERTIFIED * scale_; }
+    bool is_near(int i) const { return is_looked_at(i) && reach_[i] <= tol_.CERTIFIED * scale_ && !is_exceeded(i); }
 
     // Tells rows of soft levels that cannot be kept from those that are tight; returns whether some were not where they belong.
     bool sort_soft() {

@@ -18,7 +18,7 @@ class Factored : public Posed {
 
     void factor() {
         factors_.back_to(0);
-        take_exceeded();
+        take_rows();
         rows_ = equalities_;
         for (int l = 0; l < now_.levels; l++) rows_ += levels_[l].n;
         double* work = factors_.doubles(size_t(rows_) * stride);

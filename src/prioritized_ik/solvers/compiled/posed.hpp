@@ -7,7 +7,8 @@ namespace prioritized_ik {
 
 // One level's rows, and its block of coordinates.
 struct Block {
-    int first, given, n;       // its rows as given; those that count
+    int first, given, n;       // its rows as given; those that count now
+    int counting;              // those that count, of soft levels none: the exceeded ones do
     const double** row;        // as given, in the metric (n)
     double *root, *side, *length; // square roots of their weights, targets, and lengths (n)
     int* order;                // of the rows in the factors (n)
@@ -52,6 +53,7 @@ class Posed {
         rank_tolerance_ = io.settings[0];
         hard_ = 2 * m_ + now_.rows;
         soft_ = 0;
+        looked_at_ = now_.levels;
         for (int l = 0; l < now_.levels; l++) soft_ += io.soft[l] ? io.ends[l] - (l ? io.ends[l - 1] : 0) : 0;
         all_ = hard_ + soft_;
         bool plain = true;
@@ -184,6 +186,7 @@ class Posed {
                 block.side[block.n++] = 0.0;
             }
         }
+        block.counting = block.n;
     }
 
     // One more of a level's rows counts.
@@ -214,13 +217,12 @@ class Posed {
         block.asked = sqrt(asked);
     }
 
-    // The exceeded rows of soft levels are what these ask for.
-    void take_exceeded() {
+    // The exceeded rows of soft levels are what these ask for; levels from `looked_at_` on ask for nothing.
+    void take_rows() {
         for (int l = 0; l < now_.levels; l++) {
             Block& block = levels_[l];
-            if (!block.is_soft) continue;
-            block.n = 0;
-            for (int i = 0; i < block.given; i++)
+            block.n = l < looked_at_ ? block.counting : 0;
+            for (int i = 0; block.is_soft && l < looked_at_ && i < block.given; i++)
                 if (exceeded_[block.soft_start + i]) take(block, block.first + i);
         }
     }
@@ -233,6 +235,7 @@ class Posed {
 
     static constexpr int HARD = -1;  // level of hard rows
 
+    int looked_at_ = 0;  // levels, the others are left for later
     int all_ = 0, hard_ = 0, soft_ = 0, rows_ = 0, equalities_ = 0, frozen_ = 0;
     double noise_ = 0.0, rank_tolerance_ = 0.0, shortest_row_ = 0.0;
     bool has_reference_ = false;

@@ -67,8 +67,19 @@ class Step : public ActiveSet {
             if (soft_) refactor();
         }
         std::memset(active_, 0, all_);
-        if (!search(int(tol_.ITERATIONS))) throw Declined{UNSETTLED};
-        return SOLVED;
+        if (search(int(tol_.ITERATIONS)) || search_level_by_level()) return SOLVED;
+        throw Declined{UNSETTLED};
+    }
+
+    // From nothing, one more level at a time, as stagewise.py.
+    bool search_level_by_level() {
+        std::memset(active_, 0, all_);
+        std::memset(exceeded_, 0, all_);
+        for (looked_at_ = 1; looked_at_ <= now_.levels; looked_at_++) {
+            refactor();
+            if (!search(int(tol_.ITERATIONS))) return false;
+        }
+        return true;
     }
 
     void start_from_guess() {
