@@ -66,6 +66,7 @@ assert "steps        2" in wound.output, wound.output
         ("polars", ["export-qpbenchmark", "nowhere"], "compare"),
         ("PIL", ["wind", "--record", "end.png"], "render"),
         ("imageio_ffmpeg", ["wind", "--record", "end.mp4"], "render"),
+        ("viser", ["wind", "--view"], "view"),
         ("matplotlib", ["paper"], "report"),
     ],
 )

@@ -232,8 +232,13 @@ def test_a_scene_is_recorded_as_fast_as_it_moves_and_told_as_without(renders: No
     assert sum(shown) == 61 * 50  # [ms] 3 s, 20 frames a second, and the start; frames that are alike are one
 
 
-def test_a_viewed_scene_says_where_it_is_seen_and_stays_until_it_is_interrupted() -> None:
-    command = [sys.executable, "-u", "-c", "from prioritized_ik.cli import main; main()", "solve", str(REACH), "--view"]
+@pytest.mark.parametrize(
+    ("arguments", "result"),
+    [(["solve", str(REACH)], "ended    REACHED"), (["wind", "--link", "14", "--tilt", "0.3"], "outcome      equilibrium")],
+    ids=["solve", "wind"],
+)
+def test_what_is_viewed_says_where_it_is_seen_and_stays_until_it_is_interrupted(arguments: list[str], result: str) -> None:
+    command = [sys.executable, "-u", "-c", "from prioritized_ik.cli import main; main()", *arguments, "--view"]
     environment = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         said = ""
@@ -247,4 +252,4 @@ def test_a_viewed_scene_says_where_it_is_seen_and_stays_until_it_is_interrupted(
         running.send_signal(signal.SIGINT)
         told, _ = running.communicate()
     assert running.returncode == 0
-    assert told.startswith("ended    REACHED")
+    assert told.startswith(result)

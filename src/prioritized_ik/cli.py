@@ -12,6 +12,8 @@ import click
 from prioritized_ik.errors import PrioritizedIkError
 
 if TYPE_CHECKING:
+    from prioritized_ik.robot import Robot
+    from prioritized_ik.validation import Array
     from prioritized_ik.winding.loop import Outcome
     from prioritized_ik.winding.metrics import WindingMetrics
 
@@ -145,6 +147,7 @@ def solve(
 @click.option("--steps", default=1500, help="End after this many steps without equilibrium.")
 @click.option("--save", type=click.Path(dir_okay=False), help="Save the episode to this .npz file.")
 @click.option("--record", type=click.Path(dir_okay=False), help="Picture of the end (.png), or film (.gif, .webp, .mp4).")
+@click.option("--view", is_flag=True, help="Show it: in a window where there is a display, else on a page on localhost.")
 def wind(
     scene: Path | None,
     wound: str,
@@ -166,6 +169,7 @@ def wind(
     steps: int,
     save: str | None,
     record: str | None,
+    view: bool,
 ) -> None:
     """Wind an arm around an object by touch alone, and print how it went: the paper's, or with --scene your own.
 
@@ -197,6 +201,10 @@ def wind(
 
         kind_of(writable_file(record))
         use_working_backend()
+    if view:
+        from prioritized_ik.viewer.live import require_screen
+
+        require_screen()
     if formulation is not None:
         unnamed = click.get_current_context().get_parameter_source("solver") is ParameterSource.DEFAULT
         solver = old_name("daqp" if unnamed and formulation != LEXICOGRAPHIC else solver, formulation)
@@ -210,7 +218,7 @@ def wind(
         "options": SolveOptions(rank_tolerance=RANK_TOLERANCE),
     }
     if scene is not None:
-        _wind_own_robot(scene, keyframe, {"tip": tip, "wound": wound, **control}, save, record)
+        _wind_own_robot(scene, keyframe, {"tip": tip, "wound": wound, **control}, save, record, view)
         return
     settings = WindingSettings(
         arm=Arm(links=links),
@@ -234,6 +242,11 @@ def wind(
 
         draw(episode, record)
         click.echo(f"recorded     {record}")
+    if view:
+        from prioritized_ik.robot import Robot
+        from prioritized_ik.winding.picture import model_of
+
+        _view_winding(Robot(model_of(episode.settings)), episode.q)
     _end_winding(episode.outcome)
 
 
@@ -256,7 +269,7 @@ def _refuse(names: tuple[str, ...], why: str) -> None:
 
 
 def _wind_own_robot(
-    scene: Path, keyframe: str | None, control: dict[str, Any], save: str | None, record: str | None
+    scene: Path, keyframe: str | None, control: dict[str, Any], save: str | None, record: str | None, view: bool
 ) -> None:
     from threadpoolctl import threadpool_limits
 
@@ -280,7 +293,17 @@ def _wind_own_robot(
                 robot.update(wound.q[min(number, len(wound.q) - 1)])
                 film.add()
         click.echo(f"recorded     {record}")
+    if view:
+        _view_winding(robot, wound.q)
     _end_winding(wound.outcome)
+
+
+def _view_winding(robot: "Robot", positions: "Array") -> None:
+    from functools import partial
+
+    from prioritized_ik.viewer.show import replayed
+
+    replayed(robot, positions, say=partial(click.echo, err=True))
 
 
 def _tell_winding(outcome: "Outcome", message: str, metrics: "WindingMetrics") -> None:

@@ -114,6 +114,16 @@ def has_display() -> bool:
     return any(os.environ.get(name) for name in DISPLAYS) and works("glfw")
 
 
+def require_screen() -> None:
+    """Return if a `View` can open here.
+
+    Raises:
+        MissingExtraError: there is no display, and the page needs the extra `view`.
+    """
+    if not has_display():
+        require_extra("view")
+
+
 def _window(robot: Robot) -> Screen:
     if not has_display():
         raise InputError("no window opens here; expected a display, or place='page'.")

@@ -2,14 +2,17 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from prioritized_ik.motion import Motion
+from prioritized_ik.robot import Robot
 from prioritized_ik.scene.scene import Scene, SceneStep
+from prioritized_ik.validation import Array
 from prioritized_ik.viewer.film import Film
 from prioritized_ik.viewer.live import View
 
+REPLAY = 8.0  # [s] that a motion without times plays for
 RATE = 20.0  # [frames/s], at most, of a film that runs as fast as the robot
 
 
@@ -63,5 +66,33 @@ def shown(
             film.close()  # a film is there while the view still waits
             say(f"recorded {record}")
         if live is not None:
-            say("the last state stays until the window is closed, or Ctrl-C")
-            live.wait()
+            _stay(live, say)
+
+
+def replayed(robot: Robot, positions: Array, say: Callable[[str], object] = print) -> None:
+    """Show positions `(T, nq)` one after the other in a view, which stays until it is closed, or Ctrl-C.
+
+    Args:
+        robot: is moved.
+        positions: where to.
+        say: is told where the view is.
+
+    Raises:
+        MissingExtraError: the extra `view` is not installed.
+    """
+    robot.update(positions[0])
+    with View(robot) as view:
+        say(f"seen at {view.address}" if view.address else "seen in a window")
+        for position in positions:
+            if not view.is_open:
+                break
+            robot.update(position)
+            view.show()
+            time.sleep(REPLAY / len(positions))
+        _stay(view, say)
+
+
+def _stay(view: View, say: Callable[[str], object]) -> None:
+    with suppress(KeyboardInterrupt):
+        say("the last state stays until the window is closed, or Ctrl-C")
+        view.wait()

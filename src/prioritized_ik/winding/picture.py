@@ -84,6 +84,13 @@ def poses(
     yield from _drawn(spec, settings, q, in_contact, camera)
 
 
+def model_of(settings: WindingSettings) -> mujoco.MjModel:
+    """Return the arm and the object, a long one cut short so that it does not hide the arm."""
+    spec = settings.arm.spec()
+    _cut_to_view(settings.wound_object(), SHOWN_LENGTH).add_to(spec)
+    return spec.compile()
+
+
 def _spec(
     settings: WindingSettings, sky: tuple[Colour, Colour], shown_length: float, width: int, height: int
 ) -> mujoco.MjSpec:
