@@ -18,7 +18,6 @@ import comparisons
 import prioritized_ik as pik
 from prioritized_ik.cli import main
 from prioritized_ik.guard import Limit
-from prioritized_ik.motion import build_problem
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.scene.entries import LIMITS, TASKS, arguments_of
 from prioritized_ik.scene.task_file import KEYS
@@ -152,11 +151,11 @@ def test_a_task_file_poses_the_problem_that_its_classes_pose_by_hand(
     )
     robot = pik.example("arm", START)
     levels = [[BY_HAND[kind][1](robot) for kind, at in kinds if at == level] for level in (1, 2, 3, 4)]
-    by_hand = build_problem(
+    by_hand = pik.solve_step(
         robot, [level for level in levels if level], [LIMITS_BY_HAND[kind][1](robot) for kind in limits], dt=0.01
     )
     (step,) = scene.steps()
-    assert same(step.problem, by_hand)
+    assert same(step.problem, by_hand.problem)
 
 
 @pytest.mark.parametrize("kind", sorted(BY_HAND.keys() - {"damping"}))
@@ -166,7 +165,7 @@ def test_the_comparison_with_problems_by_hand_sees_a_gain_that_is_off_by_a_thous
     robot = pik.example("arm", START)
     robot_at_rest = kind == "centre-of-mass"  # its error is zero, and so is any part of it
     (step,) = scene.steps()
-    assert same(step.problem, build_problem(robot, [made(robot)], dt=0.01)) == robot_at_rest
+    assert same(step.problem, pik.solve_step(robot, [made(robot)], dt=0.01).problem) == robot_at_rest
 
 
 def test_a_run_ends_where_forward_kinematics_say_and_keeps_its_limits(tmp_path: Path) -> None:

@@ -47,26 +47,31 @@ class Straight:
 
         Args:
             problem: of the step.
-            solve: returns the step of a problem.
+            solve: returns the step of a problem; without dθ, or with a `StepNotFoundError`, there is none.
         """
         step = solve(problem)
-        assert step.dtheta is not None
-        if self._is_short(problem, step.dtheta):
+        if step.dtheta is None or self._is_short(problem, step.dtheta):
             return problem, step
         first = problem.levels[len(problem.levels) - len(self.levels) :]
         meant = [_left(level, tasks) for level, tasks in zip(first, self.levels, strict=True)]
         for _ in range(CORRECTIONS):
-            assert step.dtheta is not None
             ends, broken = self._ahead(step.dtheta)
             left_out = [end - left for end, left in zip(ends, meant, strict=True)]
             corrected = self._corrected(problem, step.dtheta, left_out, broken)
             if corrected is None and not any(broken):
                 return problem, step
-            try:
-                problem, step = (problem, step) if corrected is None else (corrected, solve(corrected))
-            except StepNotFoundError:
+            again = self._found(corrected, solve)
+            if corrected is None or again is None or again.dtheta is None:
                 break  # the room there is, is not enough for the correction
+            problem, step = corrected, again
         return self._shortened(problem, step, solve)
+
+    @staticmethod
+    def _found(problem: IKProblem | None, solve: Callable[[IKProblem], JointStep]) -> JointStep | None:
+        try:
+            return None if problem is None else solve(problem)
+        except StepNotFoundError:
+            return None
 
     def _is_short(self, problem: IKProblem, dtheta: Array) -> bool:
         """Whether the term of second order is below a tenth of the accuracy."""

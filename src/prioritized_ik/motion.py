@@ -1,6 +1,6 @@
 """One step of a robot: levels of tasks in strict order, under limits."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -89,6 +89,26 @@ def _problem(robot: Robot, groups: list[list[Task]], guards: Sequence[Guarded], 
     )
 
 
+def posed_and_solved(
+    robot: Robot,
+    levels: Levels,
+    limits: Sequence[Limit],
+    dt: float,
+    find: Callable[[IKProblem], JointStep],
+    *,
+    damping: float = 1.0,
+    accuracy: float | None = ACCURACY,
+) -> tuple[IKProblem, JointStep]:
+    """Return the problem of the next step and its answer, of which `find` makes one of the other; see `solve_step`."""
+    groups, guards = grouped(levels), _guards(robot, limits, dt)
+    problem = _problem(robot, groups, guards, non_negative("damping", damping))
+    if accuracy is None:
+        return problem, find(problem)
+    kept = list(zip(limits, guards, strict=True))
+    straight = Straight(robot, [tasks for tasks in groups if tasks], kept, positive("accuracy", accuracy))
+    return straight.solved(problem, find)
+
+
 def solve_step(
     robot: Robot,
     levels: Levels,
@@ -125,14 +145,9 @@ def solve_step(
         InputError: an argument out of range or of another model.
         StepNotFoundError: see `solve`.
     """
-    groups, guards = grouped(levels), _guards(robot, limits, dt)
-    problem = _problem(robot, groups, guards, non_negative("damping", damping))
-    if accuracy is None:
-        step = solve(problem, solver)
-    else:
-        kept = list(zip(limits, guards, strict=True))
-        straight = Straight(robot, [tasks for tasks in groups if tasks], kept, positive("accuracy", accuracy))
-        problem, step = straight.solved(problem, lambda posed: solve(posed, solver))
+    problem, step = posed_and_solved(
+        robot, levels, limits, dt, lambda posed: solve(posed, solver), damping=damping, accuracy=accuracy
+    )
     assert step.dtheta is not None
     return Motion(step.dtheta / dt, step, problem)
 

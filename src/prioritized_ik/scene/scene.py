@@ -1,7 +1,7 @@
 """A scene and its run: step by step, each target where it is at the end of the step."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.guard import Limit
-from prioritized_ik.motion import build_problem
+from prioritized_ik.motion import posed_and_solved
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.reaching import REST, Ending, ending_after, errors_of
 from prioritized_ik.recording import Recording
@@ -147,8 +147,8 @@ class Scene:
         for number in range(1, self.step_count + 1):
             for aimed in staged.aimed:
                 aimed.aim(number * self.dt)
-            problem = build_problem(robot, staged.levels, staged.limits, self.dt, damping=self.damping)
-            step = step_of(method, problem, options, Place(robot.q, self))
+            find = _finder(method, options, Place(robot.q, self))
+            problem, step = posed_and_solved(robot, staged.levels, staged.limits, self.dt, find, damping=self.damping)
             if step.dtheta is not None:
                 robot.integrate(step.dtheta / self.dt, self.dt)
             yield SceneStep(number * self.dt, read_only(robot.q), problem, step, errors_of(robot, tasks))
@@ -257,3 +257,8 @@ class SceneRun:
             "message": self.steps[-1].step.message,
             "positions": self.q.tolist(),
         }
+
+
+def _finder(method: Method, options: SolveOptions, place: Place) -> Callable[[IKProblem], JointStep]:
+    """Return what finds a step with a method from one place."""
+    return lambda problem: step_of(method, problem, options, place)
