@@ -133,6 +133,17 @@ def test_the_centre_of_mass_stays_above_the_feet_however_far_the_hands_are_drawn
     assert nearest[-1] == pytest.approx(0.01, abs=1e-4)
 
 
+def test_a_soft_polygon_that_cannot_be_kept_does_not_slow_the_robot():
+    robot = example("humanoid")
+    soft = SupportPolygon(robot, _feet(robot), margin=0.3, hard=False)  # more than there is
+    ahead = CentreOfMass(robot)
+    ahead.target = ahead.target + np.array([0.05, 0.0, 0.0])
+    limits = [soft, Velocity(robot, 2.0, base=(1.0, 1.0))]
+    curved, straight = (solve_step(robot, [ahead], limits, DT, accuracy=accuracy).velocity for accuracy in (1e-4, None))
+    assert np.linalg.norm(straight) > 0.1
+    assert curved == pytest.approx(straight, abs=0.1)
+
+
 def test_without_the_limit_it_leaves_them():
     robot = example("humanoid")
     limit = SupportPolygon(robot, _feet(robot))

@@ -68,7 +68,9 @@ class SupportPolygon(Limit):
         return min(edge[0] for edge in self._edges(robot))
 
     def room(self, robot: Robot) -> dict[str, float]:
-        """Return the distance from every edge less `margin` [m]."""
+        """Return the distance from every edge less `margin` [m]; none where the rows are soft."""
+        if not self._hard:
+            return {}
         return {f"support edge {name}": distance - self._margin for distance, name, _ in self._edges(robot)}
 
     def _at(self, robot: Robot, dt: float) -> Guarded:
