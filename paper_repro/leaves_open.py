@@ -40,7 +40,7 @@ ELSEWHERE = {
 COLUMNS = (
     Column("open", "what the paper leaves open", width="4cm"),
     Column("choice", "choice", width="3cm"),
-    Column("values", "values, the default first", width="4cm"),
+    Column("values", "values", width="4cm"),
     Column("matters", "does it matter"),
     *(
         column
@@ -61,7 +61,8 @@ turns and depth; it *matters* where it wins or loses any; it matters *little* wh
 Windings are those of the table of sensitivity, which has each value's figures: by the closed form, from the straight
 pose and a first link from where it winds, and by the QP, from a random pose and further. What decides stands first.
 
-It does *not* say how the paper chose; nor what two choices changed together do.
+It does *not* say how the paper chose; nor what two choices changed together do: the rank tolerance, which matters little
+here, decides for the closed form around tilted objects and from bent poses (closed-form map).
 """
 
 
@@ -104,7 +105,7 @@ def build(scale: Scale, results: Results) -> Table:
         for choice in (choice for choice in TRIED.get(fact.id, ()) if choice in available):
             effects = {method: effect(scale, results, method, choice) for method in methods(choice)}
             word = matters(list(effects.values()))
-            names = ", ".join(value for name, value in values(scale) if name == choice)
+            names = "; ".join(value for name, value in values(scale) if name == choice)
             cells = [cell for method in METHODS for cell in _cells(effects.get(method))]
             order = -sum(each.changed for each in effects.values())
             tried.append((order, (fact.says, choice, names, word, *cells, NOTHING)))
