@@ -32,7 +32,9 @@ COMPARED = (
     "table-6",
     "table-8",
     "table-11",
+    "table-14",
     "closed-form-map",
+    "leaves-open",
     "figure-3",
     "figure-7",
 )
