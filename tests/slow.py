@@ -2,7 +2,7 @@
 
 MODULES = frozenset(
     """
-    bench campaign cli compiled demonstrations distributed docs equation_audit extras facts hierarchies import_graph
+    bench campaign cli compiled demonstrations distributed docs equation_audit extras facts hierarchies holding import_graph
     interruption isolation jobs metrics native_backends page_in_chromium paper paper_kinematics paper_solvers
     paper_windings qpbenchmark_set readme rendering rivals strict_winding survival torques viewer wind_own_robot
     """.split()
