@@ -5,10 +5,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from docutils.nodes import Element, Node, SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
+from numpy.typing import ArrayLike, NDArray
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from sphinx.util.typing import stringify_annotation
 
 import prioritized_ik
 
@@ -23,6 +26,11 @@ STAGES = {
 project = "prioritized_ik"
 version = release = importlib.metadata.version("prioritized-ik")
 copyright = "the authors of prioritized_ik; Apache-2.0"
+
+#: How the types of arrays would be written, and what they are called.
+WRITTEN_OUT = {stringify_annotation(ArrayLike, "smart"): "ArrayLike"} | {
+    stringify_annotation(NDArray[kind], "smart"): "ndarray" for kind in (np.float64, np.bool_, np.int_, np.uint8, Any)
+}
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "attrs_block"]
@@ -78,7 +86,15 @@ def _kind(name: str) -> str:
     return "exception" if issubclass(found, Exception) else "class"
 
 
+def _named(app: Sphinx, what: str, name: str, found: object, options: object, said: str | None, returns: str | None) -> Any:
+    """Return a signature with the types of arrays by their names; they would be written out in full."""
+    for text, short in WRITTEN_OUT.items():
+        said, returns = said and said.replace(text, short), returns and returns.replace(text, short)
+    return said, returns
+
+
 def setup(app: Sphinx) -> None:
     """Write equations as MathML, which browsers draw by themselves."""
+    app.connect("autodoc-process-signature", _named)
     app.add_directive("public-names", PublicNames)
     app.add_html_math_renderer("mathml", (_inline, None), (_display, None))
