@@ -128,6 +128,7 @@ class TestSabotage:
         ("thin_set", 191089),
         ("thin_set", 221031),
         ("soft_first", 220190),
+        ("nearly_parallel_levels", 250215),
     ],
     ids=[
         "rows that cancel but for rounding",
@@ -138,6 +139,7 @@ class TestSabotage:
         "rows that gain what the room of others is worth",
         "a broken row whose mending moves the levels below",
         "soft rows that are exceeded again after another row was dropped",
+        "a weak direction as a difference of strong rows, compiled",
     ],
 )
 def test_what_rounding_leaves_of_large_terms_proves_nothing(name: str, seed: int) -> None:

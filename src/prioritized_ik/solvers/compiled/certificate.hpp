@@ -96,7 +96,8 @@ class Certified : public Face {
         g.strength = sqrt(g.strength);
         g.steepness = 2.0 * norm(slope, m_);
         g.size = block.demand + block.strength * size_;
-        g.terms = g.size;  // what the change of coordinates leaves of a step that a level does not feel is rounding too
+        // A weak direction is a difference of strong rows: what they leave of each other is rounding of them, not of it.
+        g.terms = block.demand + max(g.strength, block.strength) * size_;
         if (block.reflectors)
             for (int j = 0; j < block.rank; j++) {
                 const int from = aligned_start(j);
