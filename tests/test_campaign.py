@@ -129,6 +129,7 @@ class TestSabotage:
         ("thin_set", 221031),
         ("soft_first", 220190),
         ("nearly_parallel_levels", 250215),
+        ("joint_units", 280830),
     ],
     ids=[
         "rows that cancel but for rounding",
@@ -140,6 +141,7 @@ class TestSabotage:
         "a broken row whose mending moves the levels below",
         "soft rows that are exceeded again after another row was dropped",
         "a weak direction as a difference of strong rows, compiled",
+        "a row in the way of what would mend a level above",
     ],
 )
 def test_what_rounding_leaves_of_large_terms_proves_nothing(name: str, seed: int) -> None:

@@ -343,7 +343,8 @@ class Proof:
         rows that this does not move; or where the level's cost rises least.
         """
         rows, slack = self._hierarchy.rows, np.abs(self.slack[carrying])
-        loose = self._loose if self._loose > ROUNDING * self.scale else 0.0
+        # What would mend the levels above moves a row, which may be in its way: the way around it is longer.
+        loose = (self._loose if self._loose > ROUNDING * self.scale else 0.0) + length(self._handed)
         room = np.where(slack > ROUNDING * self.scale, slack, 0.0) + loose
         worth = multipliers * room
         room = np.maximum(room, np.minimum((worth.sum() - worth) / multipliers, self.tolerance * self.scale))

@@ -20,7 +20,7 @@ class Certified : public Face {
         carry(ids, t);
         Multipliers own(*this, ids, t);
         wrong_.clear();
-        blur_ = off_ = above_ = 0.0;
+        blur_ = off_ = above_ = handed_ = 0.0;
         for (int l = 0; l <= now_.levels; l++) {
             while (own.known < t && level_of_[ids[own.known]] < l) own.known++;
             if (l < now_.levels && levels_[l].is_soft && !counts_what_is_exceeded(levels_[l])) throw Declined{UNSETTLED};
@@ -201,7 +201,7 @@ class Certified : public Face {
             values[k] = pull;
             if (!last && !back) {
                 const int from = below && norm(own.row[k] + c + r, below) > settled_ ? c + r : c;
-                apart += slack / norm(own.row[k] + from, m_ - from);
+                apart += (slack + handed_) / norm(own.row[k] + from, m_ - from);
                 if (slack > tol_.ROUNDING * scale_ / tol_.MARGIN) apart = INFINITE;
             }
         }
@@ -211,6 +211,7 @@ class Certified : public Face {
         const double drawn = off_ * (1.0 + follows), carried_over = max(above_, drawn);
         above_ = max(above_, max(explained, apart));
         off_ = drawn + (excess > tol_.OFF * scale_ ? excess : 0.0);
+        handed_ += excess;
         const double demand = max(last ? g.size : max(block->demand, block->asked), max(sqrt(g.cost), tol_.LEAST_DEMAND * g.size));
         double* figures = io.figures.data() + size_t(l) * FIGURES;
         const double moved = g.strength * carried_over;
@@ -342,7 +343,7 @@ class Certified : public Face {
 
   private:
     std::vector<double> proof_;
-    double blur_ = 0.0, off_ = 0.0, above_ = 0.0;
+    double blur_ = 0.0, off_ = 0.0, above_ = 0.0, handed_ = 0.0;
 };
 
 }  // namespace prioritized_ik
