@@ -177,15 +177,9 @@ def _distance(value: float | None) -> str:
 
 
 def _table(*left: str, right: list[str], title: str | None = None) -> "Table":
-    from rich import box
-    from rich.table import Table
+    from comparisons.drawn import blank
 
-    drawn = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title=title, title_justify="left")
-    for name in left:
-        drawn.add_column(name, no_wrap=True)
-    for name in right:
-        drawn.add_column(name, justify="right")
-    return drawn
+    return blank((*left, *right), left, title=title, wrap=True)
 
 
 def _print(table: "Table") -> None:

@@ -1,15 +1,14 @@
 """The table, for a terminal and as Markdown, from the same rows."""
 
-import io
 from collections.abc import Callable
 from typing import Any
 
 import polars
-from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from comparisons.drawn import as_markdown, blank
 from comparisons.summary import Row
 
 Cell = Callable[[Row], str]
@@ -56,6 +55,8 @@ COLUMNS: dict[str, Cell] = {
     "drift [mm]": _number("drift_max_m", ".1f", 1e3),
 }
 
+TEXTS = ("solver", "version", "formulation", "verdict")  # columns that hold no figures
+
 LEGEND = (
     "Right: steps found with dθ and dX within 1e-6, dX where rows bind. dθ, dX: relative error against Eqs. 12-15 on the "
     "free steps, on which no row binds. On the other, bound steps: violation, the worst of a row, relative to the step; "
@@ -95,10 +96,9 @@ def show_qps(measured: polars.DataFrame, console: Console) -> None:
     """Print a table of what the solvers made of the user's own QPs, from `Store.qps`; nothing if there are none."""
     if measured.is_empty():
         return
-    drawn = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title="QPs", title_justify="left")
     figures = {"primal": "primal_residual", "dual": "dual_residual", "gap": "duality_gap"}
-    for name in ("solver", "version", "accuracy", "found", *figures, "p50 [ms]"):
-        drawn.add_column(escape(name), justify="left" if name in ("solver", "version") else "right", no_wrap=True)
+    columns = ("solver", "version", "accuracy", "found", *figures, "p50 [ms]")
+    drawn = blank(columns, TEXTS, title="QPs")
     for part in measured.partition_by("solver", "accuracy", maintain_order=True):
         solver, version, accuracy = part.select("solver", "version", "accuracy").rows()[0]
         worst: list[Any] = [part[name].max() for name in figures.values()]
@@ -112,10 +112,7 @@ def show_qps(measured: polars.DataFrame, console: Console) -> None:
 
 def table(rows: list[Row], columns: tuple[str, ...], *, markdown: bool = False) -> Table:
     """Return the table of `rows` with some of the `COLUMNS`."""
-    drawn = Table(box=box.MARKDOWN if markdown else box.SIMPLE_HEAD, pad_edge=markdown, collapse_padding=not markdown)
-    for name in columns:
-        left = name in ("solver", "version", "formulation", "verdict")
-        drawn.add_column(escape(name), justify="left" if left else "right", no_wrap=True)
+    drawn = blank(columns, TEXTS, markdown=markdown)
     for row in rows:
         colour = "" if markdown else _STYLES[row.verdict.split(":")[0]]
         drawn.add_row(*[escape(COLUMNS[name](row)) for name in columns], style=colour)
@@ -124,8 +121,6 @@ def table(rows: list[Row], columns: tuple[str, ...], *, markdown: bool = False) 
 
 def markdown(rows: list[Row], facts: dict[str, Any]) -> str:
     """Return the table with what it was made by, as Markdown."""
-    text = io.StringIO()
-    Console(file=text, width=400).print(table(rows, tuple(COLUMNS), markdown=True))
-    lines = [line.strip() for line in text.getvalue().splitlines() if line.strip()]
+    lines = as_markdown(table(rows, tuple(COLUMNS), markdown=True))
     stated = ", ".join(f"{name} {value}" for name, value in facts.items())
     return "\n".join([*lines, "", LEGEND, "", stated + "."]) + "\n"

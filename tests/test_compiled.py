@@ -451,3 +451,10 @@ def test_sizes_of_another_problem_find_another_room() -> None:
     one, other = workspace_for(Sizes(3, 1, 3, 0, 0)), workspace_for(Sizes(3, 9, 90, 40, 2))
     assert other.room.level_rows >= 90
     assert one.room.joints == other.room.joints
+
+
+def test_no_step_is_made_of_rows_in_conflict_without_any_level() -> None:
+    problem = IKProblem([], rows=Rows([[1.0, 0.0], [-1.0, 0.0]], [0.1, -0.5], ["slow", "back"]))
+    step = get_method("active-set").step(problem, SolveOptions())
+    assert step.status is StepStatus.INFEASIBLE
+    assert step.dtheta is None

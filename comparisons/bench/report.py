@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as Drawn
@@ -15,11 +14,10 @@ from comparisons.bench.run import MINK, Bench, figures, programs
 from comparisons.bench.settings import ROBOT_LEVELS
 from comparisons.bench.tracks import label
 from comparisons.bench.winding import APART, OURS
+from comparisons.drawn import as_markdown, blank
 from prioritized_ik.errors import InputError
 from prioritized_ik.files import write_whole
 from prioritized_ik.validation import one_of
-
-WIDTH = 200  # of Markdown tables, before their spaces are cut
 
 PLOTS = ("png", "svg", "pdf")
 
@@ -88,10 +86,7 @@ def markdown(bench: Bench) -> str:
     told = figures(bench)
     lines = []
     for shown in tables(bench):
-        text = io.StringIO()
-        Console(file=text, width=WIDTH).print(_drawn(shown, markdown=True))
-        body = [line.strip() for line in text.getvalue().splitlines() if line.strip()]
-        lines += [f"## {shown.title}", "", *body, ""]
+        lines += [f"## {shown.title}", "", *as_markdown(_drawn(shown, markdown=True)), ""]
     stated = ", ".join(f"{name} {version}" for name, version in told["versions"].items())
     return "\n".join([*lines, *notes(bench), "", LEGEND, "", f"{told['cpu']}; {stated}."]) + "\n"
 
@@ -168,11 +163,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def _drawn(shown: Shown, *, markdown: bool = False) -> Drawn:
-    title = None if markdown else shown.title
-    style = box.MARKDOWN if markdown else box.SIMPLE_HEAD
-    drawn = Drawn(box=style, pad_edge=markdown, collapse_padding=not markdown, title=title, title_justify="left")
-    for number, name in enumerate(shown.columns):
-        drawn.add_column(escape(name), justify="right" if number else "left", no_wrap=True)
+    drawn = blank(shown.columns, shown.columns[:1], title=shown.title, markdown=markdown)
     for row in shown.rows:
         drawn.add_row(*map(escape, row))
     return drawn

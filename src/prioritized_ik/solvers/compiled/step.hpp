@@ -17,7 +17,9 @@ class Step : public ActiveSet {
         for (;;) {
             try {
                 now_ = now;
-                return answer(question);
+                is_written_ = false;
+                const int outcome = answer(question);
+                return outcome == BINDING || is_written_ ? outcome : int(UNPROVEN);  // no step without its proof
             } catch (const Declined& declined) {
                 return declined.why;
             } catch (const Arena::Exhausted&) {
@@ -79,7 +81,7 @@ class Step : public ActiveSet {
             refactor();
             if (!search(int(tol_.ITERATIONS))) return false;
         }
-        return true;
+        return now_.levels > 0;
     }
 
     void start_from_guess() {

@@ -9,6 +9,8 @@ class Written : public Certified {
   protected:
     using Certified::Certified;
 
+    bool is_written_ = false;
+
     // Writes the proven step, if its certificate has margin.
     void conclude(const int* ids, int t) {
         const int levels = now_.levels;
@@ -31,6 +33,7 @@ class Written : public Certified {
             const double off = i < hard_ ? reach_[i] : abs(reach_[i]);
             if (off > margin * near && off < near / margin) throw Declined{NEARLY_TIGHT};
         }
+        is_written_ = true;
         figures[0] = violation / scale_;
         figures[1] = scale_;
 
