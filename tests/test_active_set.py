@@ -449,3 +449,17 @@ def test_a_robot_pressed_against_a_wall_keeps_its_step_certified_once_it_rests()
             step = pik.solve(pik.IKProblem([level], pik.Bounds([-0.02] * 3, [0.02] * 3), wall))
             assert step.certificate.holds, side
             assert pressed @ step.dtheta <= side + 1e-16
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_guess_that_is_far_off_leads_to_the_optimum_of_many_rows_too(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    m, r = 30, 150
+    rows = Rows(rng.normal(size=(r, m)), 0.3 * np.abs(rng.normal(size=r)))
+    levels = [Level(rng.normal(size=(6, m)), 5.0 * rng.normal(size=6)), Level(np.eye(m), 3.0 * rng.normal(size=m))]
+    hierarchy = Hierarchy(IKProblem(levels, rows=rows))
+    guess = np.zeros(r, dtype=bool)
+    guess[rng.choice(r, m // 2, replace=False)] = True
+    solution = active_set.solve(hierarchy, guess, hierarchy.start)
+    assert solution.converged
+    assert solution.iterations > active_set.ITERATIONS  # as many as for few rows would not do

@@ -105,4 +105,6 @@ def test_every_page_fits_the_screen_and_shows_its_pictures(site: Path, page: "pl
 
 def test_the_search_finds_a_page_without_a_server(site: Path, page: "playwright.Page") -> None:
     page.goto(f"{(site / 'search.html').as_uri()}?q=certificate")
-    page.locator("#search-results li a", has_text="Concepts").first.wait_for()
+    found = page.locator("#search-results li a", has_text="Concepts").first
+    found.wait_for()
+    assert "concepts.html" in str(found.get_attribute("href"))

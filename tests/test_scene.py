@@ -1,6 +1,5 @@
 """A task file poses what its classes pose by hand; its run keeps what it says; and what is wrong in it is one message."""
 
-import contextlib
 import json
 import pickle
 from collections.abc import Iterator
@@ -433,8 +432,12 @@ def test_whatever_stands_at_a_key_the_file_loads_or_is_one_message(
         **{name: entry[0] for name, entry in LIMITS_BY_HAND.items()},
     }
     changes = {table: [{"kind": kind, **known.get(kind, {}), key: value}]} if table else {key: value}
-    with contextlib.suppress(pik.InputError, pik.SolverUnavailableError):
-        loaded(tmp_path, **changes)
+    scene, message = None, ""
+    try:
+        scene = loaded(tmp_path, **changes)
+    except (pik.InputError, pik.SolverUnavailableError) as error:
+        message = str(error)
+    assert message.strip() if scene is None else scene.q.shape == (scene.model.nq,)
 
 
 def test_a_urdf_reaches_with_a_tool_that_is_fixed_to_its_last_link(tmp_path: Path) -> None:

@@ -19,6 +19,6 @@ The map of one solve, in the order in which it runs:
 The methods `damped` and `slack`, for comparison, are one QP (stages) in place of the fold, and `closed-form` is Eqs. 12-14
 alone. Packages add families: `comparisons.methods` those of mink and of the reference in CVXPY.
 
-`subspaces.py` holds the geometry, `prioritized_ik.tolerances` every threshold, `witness.py` a reference in CVXPY that
-shares no code with any of this.
+`subspaces.py` holds the geometry, `balance.py` the arithmetic of a proof, `prioritized_ik.tolerances` every threshold, and
+`witness.py` a reference in CVXPY that shares no code with any of this.
 """

@@ -16,7 +16,17 @@ from numpy.typing import NDArray
 from prioritized_ik.solvers.certificate import Proof
 from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
 from prioritized_ik.solvers.subspaces import Range
-from prioritized_ik.tolerances import CERTIFIED, DEPENDENT, DRIFT, GUESS, ITERATIONS, KEPT, REFINABLE, REFINEMENTS
+from prioritized_ik.tolerances import (
+    CERTIFIED,
+    DEPENDENT,
+    DRIFT,
+    GUESS,
+    ITERATIONS,
+    KEPT,
+    REFINABLE,
+    REFINEMENTS,
+    ROWS_PER_SEARCH,
+)
 from prioritized_ik.validation import Array, lengths
 
 Active = NDArray[np.bool_]
@@ -64,7 +74,7 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
     def note(what: str, changed: Active) -> None:
         trace.append((what, tuple(rows.names[i] for i in np.flatnonzero(changed))))
 
-    for iterations in range(ITERATIONS):
+    for iterations in range(ITERATIONS * max(1, len(rows.upper) // ROWS_PER_SEARCH)):
         visited.add(active.tobytes())
         target = face_solution(hierarchy, active)
         if not np.isfinite(target).all():

@@ -30,11 +30,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.problem import IKProblem, Level, trusted
+from prioritized_ik.solvers.balance import Floats, Look, balanced, exact_basis, exact_gradient, farthest, whitened
 from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy, Shortfall
-from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
+from prioritized_ik.solvers.subspaces import Range
 from prioritized_ik.tolerances import (
     CERTIFIED,
-    DEPENDENT,
     EPS,
     GAP,
     LEAKS,
@@ -44,17 +44,10 @@ from prioritized_ik.tolerances import (
     OFF,
     ROUNDING,
     UNDECIDED,
-    UNFELT,
 )
 from prioritized_ik.validation import Array, finite_array, length, lengths, tolerance_above_rounding
 
-Floats = NDArray[np.floating]  # doubles, or in extended precision
-
 FAR = 1e300  # a row that no level above holds can move any way
-
-TURNS = 2  # of a basis in extended precision; each gains as many digits as the level's weakest direction leaves
-
-IMPROVEMENTS = 4  # of a combination in extended precision; each gains as many digits as the rows leave
 
 
 @dataclass(frozen=True)
@@ -349,14 +342,12 @@ class Proof:
         worth = multipliers * room
         room = np.maximum(room, np.minimum((worth.sum() - worth) / multipliers, self.tolerance * self.scale))
         moves = rows.reach(carrying, range_.unfelt) > self._hierarchy.settled
-        basis, _ = _whitened(range_)
-        far = 0.0
+        normals, far = rows.matrix[carrying], 0.0
         for among, way in ((moves, range_.unfelt), (~moves, free)):
             if among.any():
-                normals = rows.matrix[carrying[among]] @ way
-                apart = float((slack[among] / lengths(normals)).sum())
-                far += max(apart, _farthest(normals, room[among], np.eye(way.shape[1])))
-        loosened = max(far, _farthest(rows.matrix[carrying] @ basis, room, basis))
+                apart = float((slack[among] / lengths(normals[among] @ way)).sum())
+                far += max(apart, farthest(normals[among], room[among], way))
+        loosened = max(far, farthest(normals, room, whitened(range_)[0]))
         self._loose = max(self._loose, loosened) if room.any() else self._loose
         return loosened
 
@@ -368,7 +359,7 @@ class Proof:
         held: NDArray[np.bool_],
         follows: float,
         number: int | None,
-    ) -> "_Look":
+    ) -> "Look":
         """Return how far rows balance a level's gradient: in double precision, where that cannot tell in extended."""
         felt = shortfall.felt.felt
         # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
@@ -378,7 +369,7 @@ class Proof:
         unit = noise if stated else ROUNDING
         for extended in (False, True):
             exact = extended and not level.is_soft
-            basis, sizes = _whitened(shortfall.felt, weakly=exact)
+            basis, sizes = whitened(shortfall.felt, weakly=exact)
             strongest, unfelt_lengths = max(sizes[: felt.shape[1]], default=0.0), sizes[felt.shape[1] :]
             gradient = np.concatenate([shortfall.gradient, np.zeros_like(unfelt_lengths)])
             # What a level does not feel is zero, and not rounding.
@@ -387,16 +378,16 @@ class Proof:
             directions: Floats = basis
             if exact:
                 solved = self._as_cut(level, number)
-                gradient, blur = _exact_gradient(solved, felt, self._u, len(gradient), blur)
-                directions = _exact_basis(solved, basis, felt.shape[1])
+                gradient, blur = exact_gradient(solved, felt, self._u, len(gradient), blur)
+                directions = exact_basis(solved, basis, felt.shape[1])
             lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
-            balance = _balanced(self._hierarchy.rows.matrix[near], directions, lacking, held, unit, extended=extended)
+            balance = balanced(self._hierarchy.rows.matrix[near], directions, lacking, held, unit, extended=extended)
             # Multipliers as large as that are made of what rounding leaves of rows that cancel each other.
             turned = self._blur * sizes * float(np.abs(balance.net(held) / balance.sizes).sum())
             rounding = blur + balance.rounding + turned
             beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
             explained = max(float(np.linalg.norm(sizes * rounding)), 0.0 if extended else leaks)
-            look = _Look(
+            look = Look(
                 balance,
                 gradient,
                 sizes,
@@ -415,141 +406,3 @@ class Proof:
         """Return a level as it is solved: where the rank tolerance cuts more than rounding, without what it cuts."""
         cut = self._hierarchy.rank_tolerance and number is not None
         return self._hierarchy.cut_problem.levels[number] if cut and number is not None else level
-
-
-def _farthest(normals: Array, room: Array, basis: Array) -> float:
-    """Return how far `basis` `(m, v)` @ y can go where `normals` `(t, v)` @ y is anything up to `room` `(t,)`."""
-    if not room.any():
-        return 0.0
-    ways = basis @ np.linalg.pinv(normals, rcond=DEPENDENT)
-    return float(lengths(ways.T) @ room)
-
-
-def _whitened(range_: Range, *, weakly: bool = False) -> tuple[Array, Array]:
-    """Return directions `(m, v)` in which a level's cost is ‖·‖², and their lengths.
-
-    Those it does not feel are there at `UNFELT`, or `weakly`: as little felt as the weakest one that is.
-    """
-    felt_lengths = lengths(range_.felt.T)
-    unfelt = min(felt_lengths, default=1.0) / UNFELT
-    if weakly:
-        unfelt = max(felt_lengths.max(initial=0.0), unfelt)
-    unfelt_lengths = np.full(range_.unfelt.shape[1], unfelt)
-    return np.hstack([range_.felt, range_.unfelt * unfelt_lengths]), np.concatenate([felt_lengths, unfelt_lengths])
-
-
-@dataclass(frozen=True)
-class _Look:
-    """A level's stationarity, in coordinates in which its cost is ‖·‖².
-
-    Attributes:
-        balance: how far rows balance the gradient.
-        gradient: the level's `(v,)`.
-        sizes: lengths of the coordinates' directions `(v,)`.
-        rounding: what rounding can feign of the rest `(v,)`.
-        beyond: the rest beyond that `(v,)`.
-        displacement: as a step `(m,)`.
-        explained: how long a step the rounding can feign.
-        size: of the terms whose difference the gradient is.
-    """
-
-    balance: "_Balance"
-    gradient: Array
-    sizes: Array
-    rounding: Array
-    beyond: Array
-    displacement: Array
-    explained: float
-    size: float
-
-
-def _exact_gradient(level: Level, felt: Array, u: Array, size: int, blur: Array) -> tuple[Array, Array]:
-    """Return feltᵀ AᵀW(A u - b) `(size,)`, zero beyond what is felt, in extended precision, and its rounding.
-
-    Where a level's strong rows are far from what they ask for, rounding of the change of coordinates lets a share of that
-    through to its weak directions. Here the rows are taken as they are given.
-    """
-    long = np.longdouble
-    matrix, weights = level.matrix.astype(long), level.weights.astype(long)
-    residual = matrix @ u.astype(long) - level.target.astype(long)
-    gradient = np.zeros(size)
-    gradient[: felt.shape[1]] = ((matrix @ felt.astype(long)).T @ (weights * residual)).astype(float)
-    sizes = np.abs(level.matrix) @ np.abs(u) + np.abs(level.target)
-    blur = blur.copy()
-    ratio = float(np.finfo(long).eps / np.finfo(float).eps)
-    blur[: felt.shape[1]] = ROUNDING * ratio * ((np.abs(level.matrix) @ np.abs(felt)).T @ (level.weights * sizes))
-    return gradient, blur
-
-
-def _exact_basis(level: Level, basis: Array, felt: int) -> Floats:
-    """Return a whitened `basis` `(m, v)`, its first `felt` columns as they are, the others as unfelt as digits allow.
-
-    Rounding turns them towards weak directions, where rows with large multipliers would seem to pull for nothing.
-    """
-    long = np.longdouble
-    exact, matrix = basis.astype(long), level.matrix.astype(long)
-    seen = matrix @ exact[:, :felt]
-    for _ in range(TURNS):
-        exact[:, felt:] -= exact[:, :felt] @ (seen.T @ (level.weights[:, None] * (matrix @ exact[:, felt:])))
-    return exact
-
-
-@dataclass(frozen=True)
-class _Balance:
-    """How far rows can balance a gradient.
-
-    Attributes:
-        normals: of the rows, of unit length `(t, v)`.
-        sizes: their lengths before `(t,)`.
-        combination: of the normals, then of those turned round that may have either sign, not negative.
-        rest: what is left `(v,)`.
-        rounding: how much of that the rounding of the sum can be `(v,)`.
-    """
-
-    normals: Array
-    sizes: Array
-    combination: Array
-    rest: Array
-    rounding: Array
-
-    def net(self, held: NDArray[np.bool_]) -> Array:
-        """Return the multipliers of the normals `(t,)`, of either sign where a row is `held`."""
-        net = self.combination[: len(held)].copy()
-        net[held] -= self.combination[len(held) :]
-        return net
-
-
-def _balanced(
-    rows: Array, basis: Floats, gradient: Array, held: NDArray[np.bool_], noise: float, *, extended: bool
-) -> _Balance:
-    """Return how far `rows` `(t, m)` in the coordinates of `basis` `(m, v)` can balance a `gradient` `(v,)`.
-
-    The combination may need digits that doubles do not have, where rows are nearly parallel or weights far apart; in
-    `extended` precision it is improved until it has them.
-    """
-    cone = rows @ basis.astype(float)
-    sizes = lengths(cone)
-    normals = cone / sizes[:, None]
-    signed = np.vstack([normals, -normals[held]])
-    combination = np.zeros(len(signed))
-    if not len(rows) or not gradient.any():
-        return _Balance(normals, sizes, combination, gradient, np.zeros_like(gradient))
-    combination, _ = nonnegative_least_squares(signed.T, -gradient)
-    if not extended:
-        rest = gradient + signed.T @ combination
-        return _Balance(normals, sizes, combination, rest, noise * (np.abs(signed).T @ combination))
-    long = np.longdouble
-    exact = (rows.astype(long) @ basis.astype(long)) / sizes.astype(long)[:, None]
-    positive = combination > 0.0
-    columns = np.vstack([exact, -exact[held]])[positive].T
-    improved = combination[positive].astype(long)
-    for _ in range(IMPROVEMENTS):
-        missing = -gradient.astype(long) - columns @ improved
-        improved = improved + np.linalg.lstsq(signed[positive].T, missing.astype(float))[0]
-    if improved.min(initial=0.0) >= 0.0:
-        combination[positive] = improved.astype(float)
-    else:
-        improved = combination[positive].astype(long)
-    rest = (gradient.astype(long) + columns @ improved).astype(float)
-    blur = ROUNDING * float(np.finfo(long).eps / np.finfo(float).eps)
-    return _Balance(normals, sizes, combination, rest, blur * (np.abs(signed).T @ combination))
