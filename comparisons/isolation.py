@@ -243,7 +243,8 @@ def _serve(connection: Connection, limits: Limits) -> None:
         place = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{os.path.basename(place.filename)}:{place.lineno}"
         last = ("lost", (ERROR, f"{type(error).__name__}: {error} ({where})"), False)
-    connection.send(last)
+    with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # who has all records waits for no end
+        connection.send(last)
 
 
 def _address_space() -> int:
