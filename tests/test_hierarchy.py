@@ -12,7 +12,8 @@ from tolerances import ORACLE, ROUNDING, SABOTAGE
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
-from prioritized_ik.solvers.closed_form import general_solution, rank_decomposition_svd, weighted_optimum
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, general_solution, rank_decomposition_svd, weighted_optimum
+from prioritized_ik.solvers.compiled.workspace import Sizes, workspace_for
 from prioritized_ik.solvers.hierarchy import AMPLE, HARD, EqualBlock, Hierarchy, SoftBlock, strict_solution
 from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import StepStatus
@@ -992,3 +993,13 @@ def test_a_block_that_is_wrong_by_a_thousandth_in_any_part_is_found_out(part):
 
     assert max(errors(block)) <= ROUNDING * conditioning(block) * np.linalg.norm(block.matrix)
     assert max(errors(wrong)) > 1e-2 * SABOTAGE
+
+
+def test_rows_of_soft_levels_with_one_name_are_told_apart_in_both_forms():
+    soft = [Level(np.eye(2), [1.0, -side], kind="at_most") for side in (1.0, 2.0)]
+    problem = IKProblem([*soft, Level(np.eye(2), [0.5, 0.5])], Bounds([-3.0] * 2, [3.0] * 2))
+    names = ("task row 1", "task row 2", "task (2) row 1", "task (2) row 2")
+    assert Hierarchy(problem, RANK_TOLERANCE).rows.names[-4:] == names
+    space = workspace_for(Sizes.of(problem))
+    space.name(problem)
+    assert space.names[-4:] == names

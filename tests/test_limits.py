@@ -327,6 +327,21 @@ def test_contact_rows_of_several_objects_join_without_clashing_names() -> None:
     assert Rows.joined([], model.nv).matrix.shape == (0, model.nv)
 
 
+def test_contact_rows_of_two_chains_on_one_object_join_without_clashing_names() -> None:
+    scene = Scene("sphere", 0.01)
+    rows = scene.rows(margin=1.0)
+    joined = Rows.joined([rows, rows], scene.model.nv)
+    assert len(set(joined.names)) == len(joined.upper) == 2 * len(rows.upper)
+    assert joined.names[len(rows.upper) :] == tuple(f"{name} (2)" for name in rows.names)
+
+
+def test_a_joint_without_a_name_is_told_from_one_that_has_its_name() -> None:
+    joints = '<joint axis="1 0 0"/><joint name="joint 1" axis="0 1 0"/>'
+    text = f'<mujoco><worldbody><body>{joints}<geom size="1"/></body></worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(text)
+    assert joint_names(model) == ("joint 1", "joint 1 (2)")
+
+
 def test_joints_of_several_degrees_of_freedom_are_numbered() -> None:
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name="base")

@@ -154,6 +154,48 @@ def test_names_must_be_as_many_as_rows():
         Rows([[1.0]], [0.0], ["a", "b"])
 
 
+@pytest.mark.parametrize(
+    ("what", "make"),
+    [
+        ("bounds", lambda names: Bounds([0.0] * 3, [1.0] * 3, names)),
+        ("rows", lambda names: Rows(np.eye(3), [1.0] * 3, names)),
+        ("equalities", lambda names: Equalities(np.eye(3), [1.0] * 3, names)),
+    ],
+)
+def test_a_repeated_name_is_refused_with_both_places(what, make):
+    assert make(["a", "b", "c"]).names == ("a", "b", "c")
+    with pytest.raises(InputError, match=rf"names of {what}\[0\] and \[2\] are both 'a'; expected names that differ"):
+        make(["a", "b", "a"])
+
+
+@pytest.mark.parametrize(
+    ("bound", "row", "equality", "said"),
+    [
+        ("a", "a upper", "e", "a bound and a row are both called 'a upper'"),
+        ("a", "r", "a lower", "a bound and an equality are both called 'a lower'"),
+        ("a", "same", "same", "a row and an equality are both called 'same'"),
+    ],
+)
+def test_a_problem_tells_bounds_rows_and_equalities_apart_by_name(bound, row, equality, said):
+    parts = Bounds([0.0], [1.0], [bound]), Rows([[1.0]], [1.0], [row])
+    with pytest.raises(InputError, match=said):
+        IKProblem([], *parts, equalities=Equalities([[1.0]], [0.5], [equality]))
+
+
+def test_joined_rows_and_equalities_are_told_apart():
+    parts = [
+        Rows(np.eye(2), [1.0, 2.0], ["a", "b"]),
+        Rows(np.eye(2), [3.0, 4.0], ["a", "a (2)"]),
+        Rows([[1, 1]], [5.0], ["a"]),
+    ]
+    joined = Rows.joined(parts, 2)
+    assert joined.names == ("a", "b", "a (3)", "a (2)", "a (4)")
+    assert joined.upper.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
+    equal = [Equalities([[1.0]], [1.0], ["loop"]), Equalities([[2.0]], [2.0], ["loop"])]
+    assert Equalities.joined(equal, 1).names == ("loop", "loop (2)")
+    assert Equalities.joined([], 4).matrix.shape == (0, 4)
+
+
 def test_a_problem_of_which_nothing_tells_the_number_of_joints_is_refused():
     with pytest.raises(InputError, match="neither levels nor bounds, rows, equalities or reference: no number of joints"):
         IKProblem([])

@@ -28,6 +28,15 @@ def _bent_arm() -> Robot:
     return example("arm", [0.3, 0.5, 0.2, 1.2, 0.1, 0.6, 0.0])
 
 
+def test_two_limits_on_one_pair_of_geoms_have_rows_of_their_own():
+    robot = _bent_arm()
+    limits = [Collision(robot, [("hand", "table")], min_distance=least, margin=1.0) for least in (0.02, 0.05)]
+    problem = solve_step(robot, [Position(robot, site="tool")], limits, DT).problem
+    assert len(set(problem.rows.names)) == len(problem.rows.upper) >= 2
+    assert "hand near table" in problem.rows.names
+    assert "hand near table (2)" in problem.rows.names
+
+
 def _run(robot, levels, limits, steps):
     """Velocities `(steps, nv)` of so many steps."""
     velocities = []

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Rows, trusted
 from prioritized_ik.touch import OBJECT, Touch, TouchSensor
-from prioritized_ik.validation import Array, finite_array, gain_of, non_negative, positive
+from prioritized_ik.validation import Array, distinct, finite_array, gain_of, non_negative, positive
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 OUTSIDE = 1e-4  # [rad] a joint this far outside its range is rounding of accepted steps; further is an error
@@ -37,7 +37,7 @@ def _joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint {joint + 1}"
         several = np.count_nonzero(model.dof_jntid == joint) > 1
         names.append(f"{name}[{dof - model.jnt_dofadr[joint] + 1}]" if several else name)
-    return tuple(names)
+    return distinct(names)
 
 
 def joint_metric(model: mujoco.MjModel, length: float | None = None) -> Array:

@@ -78,7 +78,7 @@ def _problem(robot: Robot, groups: list[list[Task]], guards: Sequence[Guarded], 
     bounds = Bounds.none(robot.model.nv)
     for guard in guards:
         bounds = guard.bounds.intersect(bounds) if guard.bounds is not None else bounds
-    fixed = _together([guard.equalities for guard in guards if guard.equalities is not None], robot.model.nv)
+    fixed = Equalities.joined([guard.equalities for guard in guards if guard.equalities is not None], robot.model.nv)
     recovery = [Level(rows.matrix, rows.upper, name=RECOVERY, kind="at_most") for rows in _joined_recovery(guards)]
     return IKProblem(
         [*recovery, *_task_levels(robot, groups, damping, fixed)],
@@ -202,16 +202,6 @@ def _listed(limits: Sequence[Limit]) -> Sequence[Limit]:
     if not isinstance(limits, Sequence):
         raise InputError(f"limits is {limits!r}; expected a list of limits such as JointRange, Velocity and Collision.")
     return limits
-
-
-def _together(parts: Sequence[Equalities], m: int) -> Equalities:
-    if len(parts) <= 1:
-        return parts[0] if parts else Equalities.none(m)
-    return Equalities(
-        np.vstack([part.matrix for part in parts]),
-        np.concatenate([part.target for part in parts]),
-        [name for part in parts for name in part.names],
-    )
 
 
 def _limit(limit: Limit) -> Limit:

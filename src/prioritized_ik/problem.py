@@ -20,7 +20,9 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.tolerances import NOISE, ROUNDING
 from prioritized_ik.validation import (
     Array,
+    distinct,
     finite_array,
+    first_repeated,
     fraction,
     length,
     lengths,
@@ -129,7 +131,7 @@ class Level:
 
 @dataclass(frozen=True, init=False, eq=False)
 class Bounds:
-    """lower <= dθ <= upper, each `(m,)` [rad]; infinities are allowed. `names` name the joints in messages."""
+    """lower <= dθ <= upper, each `(m,)` [rad]; infinities are allowed. `names` name the joints in messages; all differ."""
 
     lower: Array
     upper: Array
@@ -168,7 +170,7 @@ class Bounds:
 
 @dataclass(frozen=True, init=False, eq=False)
 class Rows:
-    """Inequality rows: matrix `(r, m)` @ dθ <= upper `(r,)`, infinite for none. `names` name the rows in messages."""
+    """Inequality rows: matrix `(r, m)` @ dθ <= upper `(r,)`, infinite for none. `names` name the rows; all differ."""
 
     matrix: Array
     upper: Array
@@ -191,19 +193,19 @@ class Rows:
 
     @staticmethod
     def joined(parts: Sequence["Rows"], m: int) -> "Rows":
-        """Return the rows of all `parts` on `m` joints, in their order."""
+        """Return the rows of all `parts` on `m` joints in their order; of two with one name the later is "name (2)"."""
         if not parts:
             return Rows.none(m)
         return Rows(
             np.vstack([part.matrix for part in parts]),
             np.concatenate([part.upper for part in parts]),
-            [name for part in parts for name in part.names],
+            distinct([name for part in parts for name in part.names]),
         )
 
 
 @dataclass(frozen=True, init=False, eq=False)
 class Equalities:
-    """Hard equality rows: matrix `(e, m)` @ dθ = target `(e,)`. `names` name the rows in messages."""
+    """Hard equality rows: matrix `(e, m)` @ dθ = target `(e,)`. `names` name the rows; all differ."""
 
     matrix: Array
     target: Array
@@ -224,6 +226,17 @@ class Equalities:
         """Return no equality on `m` joints."""
         return Equalities(np.zeros((0, m)), np.zeros(0))
 
+    @staticmethod
+    def joined(parts: Sequence["Equalities"], m: int) -> "Equalities":
+        """Return the equalities of all `parts` on `m` joints, named as by `Rows.joined`."""
+        if not parts:
+            return Equalities.none(m)
+        return Equalities(
+            np.vstack([part.matrix for part in parts]),
+            np.concatenate([part.target for part in parts]),
+            distinct([name for part in parts for name in part.names]),
+        )
+
 
 @dataclass(frozen=True, init=False, eq=False)
 class IKProblem:
@@ -243,7 +256,8 @@ class IKProblem:
             length, but 1.4e-14 of the longest for whole rows.
 
     Raises:
-        InputError: widths that differ or are not known, a metric that is not positive, a noise out of range.
+        InputError: widths that differ or are not known, a bound, row or equality with the name of another, a metric that
+            is not positive, a noise out of range.
     """
 
     levels: tuple[Level, ...]
@@ -293,13 +307,16 @@ class IKProblem:
             name, width = next((name, width) for name, width in zip(names, widths, strict=True) if width != m)
             raise InputError(f"{name} has {width} joints; expected {m}, as many as {names[0]}.")
         zeros, ones, free, without, no_equality = _nothing(m)
+        bounds, rows = bounds or free, rows or without
+        equalities = equalities or no_equality
+        _check_names(bounds, rows, equalities)
         _set(
             self,
             levels=tuple(levels),
-            bounds=free if bounds is None else bounds,
-            rows=without if rows is None else rows,
+            bounds=bounds,
+            rows=rows,
             reference=zeros if reference is None else finite_array("reference", reference, (m,)),
-            equalities=no_equality if equalities is None else equalities,
+            equalities=equalities,
             metric=ones if metric is None else _positive_metric(metric, m),
             noise=fraction("noise", noise, below=NOISIEST),
         )
@@ -606,4 +623,25 @@ def _names(what: str, given: Sequence[str], word: str, count: int) -> tuple[str,
     names = tuple(given) or tuple(f"{word} {i + 1}" for i in range(count))
     if len(names) != count:
         raise InputError(f"names of {what} has {len(names)} entries; expected {count}.")
+    if (repeated := first_repeated(names)) is not None:
+        first, second = [place for place, name in enumerate(names) if name == repeated][:2]
+        raise InputError(
+            f"names of {what}[{first}] and [{second}] are both {repeated!r}; expected names that differ: "
+            "rows are told apart, and remembered from step to step, by them."
+        )
     return names
+
+
+@lru_cache(maxsize=64)
+def _sides_of(joints: tuple[str, ...]) -> frozenset[str]:
+    """Return what the bounds on joints are called, upper and lower ones."""
+    return frozenset(f"{joint} {side}" for joint in joints for side in ("upper", "lower"))
+
+
+def _check_names(bounds: Bounds, rows: Rows, equalities: Equalities) -> None:
+    """Raise if a bound, row or equality has the name of another."""
+    sides, hard = _sides_of(bounds.names), set(rows.names)
+    groups = (("a bound", sides, "a row", hard), ("a bound", sides, "an equality", equalities.names))
+    for one, names, other, others in (*groups, ("a row", hard, "an equality", equalities.names)):
+        if not names.isdisjoint(others):
+            raise InputError(f"{one} and {other} are both called {min(names & {*others})!r}; expected names that differ.")

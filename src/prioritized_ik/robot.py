@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError, ModelError
 from prioritized_ik.limits import joint_metric
-from prioritized_ik.validation import Array, finite_array, nearest_first, non_negative, read_only, shape_of
+from prioritized_ik.validation import Array, distinct, finite_array, nearest_first, non_negative, read_only, shape_of
 
 #: Kinds of parts that are found by name or number.
 KINDS = {
@@ -145,7 +145,7 @@ class Robot:
 
     def names(self, kind: str) -> list[str]:
         """Return what the parts of a kind are called: their name, or for instance `geom 3` where they have none."""
-        return [name or f"{kind} {number}" for number, name in enumerate(self._given_names(kind))]
+        return list(distinct(name or f"{kind} {number}" for number, name in enumerate(self._given_names(kind))))
 
     def dofs(self, joint: str | int) -> slice:
         """Return the degrees of freedom of a joint."""

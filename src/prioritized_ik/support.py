@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull, QhullError
 from prioritized_ik.errors import InputError
 from prioritized_ik.guard import OUTSIDE, Guarded, Limit, Way
 from prioritized_ik.robot import Frame, Robot
-from prioritized_ik.validation import Array, gain_of, non_negative, one_of, positive
+from prioritized_ik.validation import Array, distinct, gain_of, non_negative, one_of, positive
 
 _BOX, _SPHERE = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_SPHERE)
 SOLE = ((-1, -1), (-1, 1), (1, -1), (1, 1))  # corners of a box's face
@@ -105,7 +105,7 @@ class SupportPolygon(Limit):
             edges.append((float(inward @ from_a), f"{names[a]} – {names[b]}", inward @ change))
         return edges
 
-    def _standing(self, robot: Robot) -> tuple[Array, list[str], Array]:
+    def _standing(self, robot: Robot) -> tuple[Array, tuple[str, ...], Array]:
         """Return the points `(n, 3)` that the robot stands on, their names, and their Jacobians `(n, 3, nv)`."""
         model = robot.model
         points, names, jacobians = [], [], []
@@ -116,7 +116,7 @@ class SupportPolygon(Limit):
                 points.append(point)
                 jacobians.append(jacobian)
                 names.append(f"{frame.name} corner {corner}" if _is_box(robot, frame) else frame.name)
-        return np.array(points).reshape(-1, 3), names, np.array(jacobians)
+        return np.array(points).reshape(-1, 3), distinct(names), np.array(jacobians)
 
 
 def _is_box(robot: Robot, frame: Frame) -> bool:

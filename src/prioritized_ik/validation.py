@@ -3,6 +3,8 @@
 import difflib
 import math
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -71,6 +73,27 @@ def nearest_first(wanted: str, names: Sequence[str]) -> list[str]:
     """Return `names`, those that resemble `wanted` first."""
     near = difflib.get_close_matches(wanted, names, n=max(len(names), 1), cutoff=0.4)
     return list(dict.fromkeys([*near, *names]))
+
+
+@lru_cache(maxsize=256)  # in a loop names seldom change
+def first_repeated(names: tuple[str, ...]) -> str | None:
+    """Return the first of `names` that stands there before, if any."""
+    if len(set(names)) == len(names):
+        return None
+    return next(name for place, name in enumerate(names) if name in names[:place])
+
+
+def distinct(names: Iterable[str]) -> tuple[str, ...]:
+    """Return `names` that differ: the second of a name is "name (2)", the third "name (3)"."""
+    given = tuple(names)
+    if first_repeated(given) is None:
+        return given
+    taken, made = set(given), list(given)
+    for place, name in enumerate(given):
+        if name in given[:place]:
+            made[place] = next(new for number in count(2) if (new := f"{name} ({number})") not in taken)
+            taken.add(made[place])
+    return tuple(made)
 
 
 def finite_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:

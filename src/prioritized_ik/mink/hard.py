@@ -19,7 +19,7 @@ from prioritized_ik.mink.names import numbered, row_name, task_name
 from prioritized_ik.problem import Bounds, Equalities, Rows
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.tolerances import ROUNDING
-from prioritized_ik.validation import Array
+from prioritized_ik.validation import Array, distinct
 
 
 @dataclass
@@ -78,7 +78,7 @@ def hard_limits(configuration: mink.Configuration, limits: Sequence[mink.Limit] 
         _collect(pool, configuration, limit, name, dt)
     joints = joint_names(model)
     _part(pool, joints)
-    rows = Rows(np.reshape(pool.matrix, (-1, model.nv)), pool.sides, pool.names)
+    rows = Rows(np.reshape(pool.matrix, (-1, model.nv)), pool.sides, distinct(pool.names))
     return Bounds(pool.lower, pool.upper, joints), rows
 
 

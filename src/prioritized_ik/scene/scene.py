@@ -24,7 +24,7 @@ from prioritized_ik.solvers.registry import DEFAULT, get_method
 from prioritized_ik.solvers.solve import step_of
 from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.tasks.task import Task
-from prioritized_ik.validation import Array, at_least, non_negative, positive, read_only
+from prioritized_ik.validation import Array, at_least, distinct, non_negative, positive, read_only
 
 
 @dataclass(frozen=True)
@@ -120,10 +120,10 @@ class Scene:
         for number, entry in enumerate(self.tasks, 1):
             with placed(f"task {number}, {entry.kind}"):
                 made = entry.made(robot)
-            same = sum(task.name == made.task.name for tasks in levels.values() for task in tasks)
-            made.task.name += f" ({same + 1})" if same else ""
             levels[entry.level].append(made.task)
             aimed.append(made)
+        for one, name in zip(aimed, distinct(one.task.name for one in aimed), strict=True):
+            one.task.name = name
         limits = []
         for number, limit in enumerate(self.limits, 1):
             with placed(f"limit {number}, {limit.kind}"):

@@ -22,7 +22,7 @@ from prioritized_ik.problem import IKProblem, Level, replaced
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, Spectrum, level_decomposition
 from prioritized_ik.solvers.subspaces import Range, divided, pivoted_qr, range_of
 from prioritized_ik.tolerances import DEPENDENT, EPS, FEASIBLE, FLOOR, PROJECTION, SETTLED_PER_RANK_TOLERANCE, UNSURE
-from prioritized_ik.validation import Array, length, lengths, tolerance_above_rounding
+from prioritized_ik.validation import Array, distinct, length, lengths, tolerance_above_rounding
 
 HARD = -1  # the level of hard rows
 
@@ -242,11 +242,13 @@ class Hierarchy:
         hard = self.problem.inequalities
         matrices, uppers, names = [hard.matrix], [hard.upper], list(hard.names)
         numbers, roots = [np.full(len(hard.upper), HARD)], [np.ones(len(hard.upper))]
+        soft_names = iter(distinct(level.name for level in self.problem.levels if level.is_soft))
         for number, (level, rows) in enumerate(zip(self.problem.levels, self._row_numbers, strict=True)):
             if level.is_soft:
                 matrices.append(level.matrix)
                 uppers.append(level.target)
-                names += [f"{level.name} row {i + 1}" for i in rows]
+                called = next(soft_names)
+                names += [f"{called} row {i + 1}" for i in rows]
                 numbers.append(np.full(len(level.target), number))
                 roots.append(np.sqrt(level.weights))
         matrix = np.vstack(matrices)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled.library import Question, library, tolerances_of
-from prioritized_ik.validation import Array
+from prioritized_ik.validation import Array, distinct
 
 FIGURES = 4  # of a level: gap, relative gap, stationarity, rounding
 COUNTS = 8  # corrections, faces, proofs; the lengths of the lists of active, exceeded, tight, zero and holding rows
@@ -149,11 +149,12 @@ def _named(
     joints: tuple[str, ...], rows: tuple[str, ...], soft: tuple[tuple[str, int], ...]
 ) -> tuple[tuple[str, ...], dict[str, int]]:
     """Return names of upper bounds, lower bounds, rows and soft levels' rows, and the number of each."""
+    called = distinct(name for name, _ in soft)
     names = (
         *(f"{name} upper" for name in joints),
         *(f"{name} lower" for name in joints),
         *rows,
-        *(f"{name} row {i + 1}" for name, count in soft for i in range(count)),
+        *(f"{name} row {i + 1}" for name, (_, count) in zip(called, soft, strict=True) for i in range(count)),
     )
     return names, {name: number for number, name in reversed(list(enumerate(names)))}
 
