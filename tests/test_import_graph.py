@@ -17,10 +17,11 @@ ROOT = Path(prioritized_ik.__file__).parent
 LAYERS = [
     {"errors", "tolerances", "late"},
     {"validation", "files", "rendering", "extras"},
-    {"pictures", "processes"},
-    {"models", "jacobians"},
+    {"pictures", "processes", "kinematic_tree"},
+    {"models", "jacobians", "model_tree"},
     {"virtual_arms"},
     {"touch", "problem", "weights"},
+    {"tree_problem"},
     {"limits", "live", "problem_file"},
     {"recording"},
     {"robot"},

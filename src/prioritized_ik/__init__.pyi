@@ -30,6 +30,11 @@ from .problem import Equalities as Equalities
 from .problem import IKProblem as IKProblem
 from .problem import Level as Level
 from .problem import Rows as Rows
+from .kinematic_tree import KinematicTree as KinematicTree
+from .kinematic_tree import PointRows as PointRows
+from .model_tree import ModelTree as ModelTree
+from .tree_problem import TreeLevel as TreeLevel
+from .tree_problem import TreeRows as TreeRows
 from .problem_file import load_problem as load_problem
 from .problem_file import save_problem as save_problem
 from .recording import Recording as Recording

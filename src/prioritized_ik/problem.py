@@ -112,9 +112,18 @@ class Level:
         """Whether this is a level of soft inequalities."""
         return self.kind == "at_most"
 
+    @property
+    def joint_count(self) -> int:
+        """Number of joints m."""
+        return self.matrix.shape[1]
+
+    def times(self, dtheta: Array) -> Array:
+        """Return A dθ `(k,)`."""
+        return self.matrix @ dtheta
+
     def residual(self, dtheta: Array) -> Array:
         """Return A dθ - b `(k,)`; of a soft level only what is above zero."""
-        residual = self.matrix @ dtheta - self.target
+        residual = self.times(dtheta) - self.target
         return np.maximum(residual, 0.0) if self.is_soft else residual
 
     def cost(self, dtheta: Array) -> float:
@@ -185,6 +194,11 @@ class Rows:
             i = int(never.argmax())
             raise InputError(f"{known[i]} is all zero but must not exceed {side[i]}, which no step can keep; leave it out.")
         _set(self, matrix=checked, upper=side, names=known)
+
+    @property
+    def joint_count(self) -> int:
+        """Number of joints m."""
+        return self.matrix.shape[1]
 
     @staticmethod
     def none(m: int) -> "Rows":
@@ -285,11 +299,11 @@ class IKProblem:
         for name, given, kind in parts:
             if given is not None and not isinstance(given, kind):
                 raise InputError(f"{name} is {given!r}; expected {kind.__name__} or None.")
-        widths = [level.matrix.shape[1] for level in levels]
+        widths = [level.joint_count for level in levels]
         if bounds is not None:
             widths.append(len(bounds.lower))
         if rows is not None:
-            widths.append(rows.matrix.shape[1])
+            widths.append(rows.joint_count)
         if equalities is not None:
             widths.append(equalities.matrix.shape[1])
         if reference is not None and not widths:
@@ -557,9 +571,13 @@ def _nothing(m: int) -> tuple[Array, Array, Bounds, Rows, Equalities]:
 
 
 def replaced(record: Record, /, **fields: object) -> Record:
-    """Return `record` with some fields changed, unchecked: see `trusted`."""
+    """Return `record` with some fields changed, unchecked: see `trusted`.
+
+    What holds its matrix in another form, as `tree_problem` does, becomes the plain record of a matrix.
+    """
     kept = {field.name: getattr(record, field.name) for field in dataclasses.fields(record)}  # type: ignore[arg-type]
-    return trusted(type(record), **kept | fields)
+    kind = next(kind for kind in type(record).__mro__ if "__dataclass_fields__" in vars(kind))
+    return trusted(kind, **kept | fields)
 
 
 @lru_cache(maxsize=16)  # which joints are bounded seldom changes in a loop
