@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from prioritized_ik import (
     Acceleration,
@@ -20,6 +21,7 @@ from prioritized_ik import (
     example,
     solve_step,
 )
+from prioritized_ik.tasks.turns import turned
 
 DT = 0.01
 GREATEST = 4.0  # [rad/s²]
@@ -100,12 +102,9 @@ def _feet(robot):
     return [robot.frame(geom=number) for number in boxes]
 
 
-def test_the_rows_of_the_support_polygon_are_the_gradient_of_the_distance():
-    robot = example("humanoid")
-    robot.integrate(np.random.default_rng(3).normal(size=robot.model.nv) * 0.1, 1.0)
-    limit = SupportPolygon(robot, _feet(robot))
-    start, rows = robot.q, limit.at(robot, DT).rows
-    ends = []
+def _slopes(robot, limit):
+    """Derivative of the distance from every edge by every joint `(edges, nv)`."""
+    start, ends = robot.q, []
     for sign in (1.0, -1.0):
         changed = []
         for direction in np.eye(robot.model.nv):
@@ -113,8 +112,98 @@ def test_the_rows_of_the_support_polygon_are_the_gradient_of_the_distance():
             robot.integrate(sign * direction, 1e-6)
             changed.append(limit.at(robot, DT).rows.upper)
         ends.append(np.array(changed).T)
+    robot.update(start)
+    return (ends[0] - ends[1]) / 2e-6
+
+
+def test_the_rows_of_the_support_polygon_are_the_gradient_of_the_distance():
+    robot = example("humanoid")
+    robot.integrate(np.random.default_rng(3).normal(size=robot.model.nv) * 0.1, 1.0)
+    limit = SupportPolygon(robot, _feet(robot))
+    rows = limit.at(robot, DT).rows
     assert len(rows.names) == 6  # the corners between the feet are inside
-    assert -(ends[0] - ends[1]) / 2e-6 == pytest.approx(rows.matrix, abs=1e-7)
+    assert -_slopes(robot, limit) == pytest.approx(rows.matrix, abs=1e-7)
+
+
+#: Feet of every kind, at several heights, on a body that moves freely beside a heavy thing that does not.
+FEET = """
+<mujoco><compiler angle="radian"/><worldbody><body name="rock" pos="3 0 0"><geom size="0.5"/></body>
+<body name="trunk" pos="0 0 0.5"><freejoint/><geom size="0.1"/>
+<body pos="0.3 0.2 -0.3" euler="0.1 0.2 0.3"><joint axis="0 1 0"/><geom name="box" type="box" size="0.05 0.04 0.02"/></body>
+<body pos="-0.3 0.2 -0.2"><joint axis="1 0 0"/><geom name="ball" size="0.06"/></body>
+<body pos="-0.1 -0.3 -0.4" euler="1.2 0.3 0"><joint axis="1 1 0"/><geom name="rod" type="capsule" size="0.03 0.08"/></body>
+<body pos="0.2 -0.2 -0.1"><joint type="slide" axis="1 0 1"/><geom size="0.02"/><site name="tip"/></body>
+</body></worldbody></mujoco>
+"""
+ON_FEET = ({"geom": "box"}, {"geom": "ball"}, {"geom": "rod"}, {"site": "tip"})
+
+
+def _on_feet(**options) -> tuple[Robot, SupportPolygon]:
+    robot = Robot(mujoco.MjModel.from_xml_string(FEET))
+    robot.integrate(np.random.default_rng(5).normal(size=robot.model.nv) * 0.1, 1.0)
+    return robot, SupportPolygon(robot, [robot.frame(**which) for which in ON_FEET], **options)
+
+
+@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.2, -0.3, 0.9), (0.0, 0.0, -1.0)])
+@pytest.mark.parametrize("lean", [(0.0, 0.0, 0.0), (0.3, 0.2, 0.0)])
+def test_on_uneven_and_tilted_ground_the_rows_are_the_gradient_of_the_distance_too(up, lean):
+    robot, limit = _on_feet(up=up, ground=np.add(up, lean))
+    rows = limit.at(robot, DT).rows
+    assert len(rows.names) >= 4
+    assert -_slopes(robot, limit) == pytest.approx(rows.matrix, abs=1e-7)
+
+
+@pytest.mark.parametrize("up", [(0.0, 0.0, 1.0), (0.2, -0.3, 0.9), (0.0, 0.0, -1.0)])
+def test_a_centre_of_mass_is_inside_where_forces_along_gravity_can_carry_it(up):
+    rng, inside = np.random.default_rng(6), 0
+    robot = Robot(mujoco.MjModel.from_xml_string(FEET))
+    sites = [robot.frame(site="tip"), *(robot.frame(body=number) for number in range(3, 6))]
+    for _ in range(40):
+        robot.update(robot.model.qpos0)
+        robot.integrate(rng.normal(size=robot.model.nv), 1.0)
+        points = np.array([robot.position(site) for site in sites]).T
+        along = np.array(up) / np.linalg.norm(up)
+        across = np.eye(3) - np.outer(along, along)
+        centre = robot.data.subtree_com[robot.body("trunk")]
+        balance = np.vstack([across @ points, np.ones(4)])  # the forces' torques, and their sum beside the weight
+        carried = linprog(np.zeros(4), A_eq=balance, b_eq=[*(across @ centre), 1.0], bounds=(0, None)).status == 0
+        inside += carried
+        assert (SupportPolygon(robot, sites, up=up).distance(robot) >= 0.0) == carried
+    assert 5 < inside < 35
+
+
+def test_turned_with_its_gravity_the_world_is_the_same():
+    robot, limit = _on_feet()
+    distance, rows = limit.distance(robot), limit.at(robot, DT).rows
+    turn = turned(np.eye(3), np.array([0.5, -0.4, 1.1]))
+    model = mujoco.MjModel.from_xml_string(FEET)
+    model.opt.gravity[:] = turn @ model.opt.gravity
+    q, quaternion = robot.q, np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, turn.ravel())
+    q[:3] = turn @ q[:3]
+    mujoco.mju_mulQuat(q[3:7], quaternion, robot.q[3:7])
+    there = Robot(model, q)
+    tilted = SupportPolygon(there, [there.frame(**which) for which in ON_FEET])
+    turned_rows = tilted.at(there, DT).rows
+    assert tilted.distance(there) == pytest.approx(distance, abs=1e-12)
+    order = [turned_rows.names.index(name) for name in rows.names]
+    assert turned_rows.matrix[order, 3:] == pytest.approx(rows.matrix[:, 3:], abs=1e-12)
+    assert turned_rows.matrix[order, :3] @ turn == pytest.approx(rows.matrix[:, :3], abs=1e-12)
+    level = SupportPolygon(there, [there.frame(**which) for which in ON_FEET], up=[0, 0, 1])
+    assert abs(level.distance(there) - distance) > 1e-2
+
+
+def test_a_ball_on_a_slope_stands_below_its_centre_along_the_slopes_normal():
+    text = '<mujoco><worldbody><body><freejoint/>{}<geom pos="0 0 1" size="0.1"/></body></worldbody></mujoco>'
+    balls = [f'<geom name="{x} {y}" size="0.2" pos="{x} {y} {-0.5 * x}"/>' for x, y in ((-1, -1), (-1, 1), (1, -1), (1, 1))]
+    robot = Robot(mujoco.MjModel.from_xml_string(text.format("".join(balls))))
+    frames = [robot.frame(geom=number) for number in range(4)]
+    level, slope = SupportPolygon(robot, frames), SupportPolygon(robot, frames, ground=[0.5, 0, 1])  # it falls along x
+    centre = robot.data.subtree_com[1, 0]
+    shift = 0.2 * 0.5 / np.sqrt(1.25)  # of the points, downhill's opposite
+    assert level.distance(robot) == pytest.approx(1.0 - abs(centre))
+    assert slope.room(robot)["support edge 1 -1 – 1 1"] == pytest.approx(1.0 - shift - centre)
+    assert slope.room(robot)["support edge -1 1 – -1 -1"] == pytest.approx(1.0 + shift + centre)
 
 
 @pytest.mark.parametrize("hard", [True, False])
@@ -214,6 +303,16 @@ def test_required_ways_back_that_exclude_each_other_are_named_and_soft_ones_comp
     assert np.abs(solve_step(robot, [Posture(robot)], soft).velocity).max() < 1e-6
 
 
+def _standing(robot, **options):
+    return SupportPolygon(robot, [robot.frame(body=number) for number in (1, 4, 6)], **options)
+
+
+def _without_gravity():
+    robot = _arm()
+    robot.model.opt.gravity[:] = 0.0
+    return robot
+
+
 BAD = {
     "acceleration": (lambda robot: Acceleration(robot, -1.0), "greatest is -1.0"),
     "acceleration of a joint": (lambda robot: Acceleration(robot, {"elbow": 0.0}), "greatest of elbow is 0.0"),
@@ -222,7 +321,17 @@ BAD = {
     "base": (lambda robot: Velocity(robot, 1.0, base=3.0), r"base of fastest has shape \(\); expected \(2,\)"),
     "points": (lambda robot: SupportPolygon(robot, ["tool"]), r"points is \['tool'\]; expected frames such as"),
     "two points": (lambda robot: SupportPolygon(robot, [robot.frame(site="tool"), robot.frame(body=1)]), "three that are"),
-    "capsule": (lambda robot: SupportPolygon(robot, [robot.frame(geom=2)]), "neither box nor sphere"),
+    "mesh": (
+        lambda robot: SupportPolygon(robot, [robot.frame(geom="post")]),
+        "no box, sphere or capsule; .* sites, which mark",
+    ),
+    "no up": (lambda robot: _standing(robot, up=[0, 0, 0]), "up is zero"),
+    "ground overhead": (lambda robot: _standing(robot, ground=[0, 1, -1]), "does not face up"),
+    "no gravity": (lambda robot: _standing(_without_gravity()), "the model has no gravity; give up, "),
+    "two trees": (
+        lambda robot: SupportPolygon(robot, [robot.frame(body=number) for number in (0, 1, 3)]),
+        "points are on the trees of world, base; expected one, or body=",
+    ),
 }
 
 
