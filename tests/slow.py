@@ -109,7 +109,11 @@ TESTS = {
         "the_demonstration_shows_who_is_nearer_to_sixty_digits",
         "with_one_level_the_answer_is_the_optimum_of_minks_qp",
     ),
-    "model_equalities": ("a_loop_stays_closed_over_a_thousand_steps_round_and_round",),
+    "model_equalities": (
+        "a_loop_that_is_turned_round_and_round_opens_by_no_more_than_a_tenth_of_the_accuracy",
+        "everything_that_is_coupled_stays_so_while_a_robot_wanders",
+        "steps_of_first_order_open_it_by_the_square_of_their_length",
+    ),
     "notation": ("every_name_in_backticks_with_dots_exists",),
     "own_qps": (
         "a_qp_is_judged_by_the_residuals_of_its_problem",

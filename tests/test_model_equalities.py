@@ -86,15 +86,55 @@ def test_every_kind_is_named_and_closes_from_afar():
     assert max(limit.drift(robot).values()) < 1e-9
 
 
-def test_a_loop_stays_closed_over_a_thousand_steps_round_and_round():
+def _round_and_round(accuracy: float | None, speed: float) -> float:
+    """The most that a four-bar linkage is open while its crank turns three times."""
     robot, limit = _closed()
     crank, worst, turned = Posture(robot, weights={"crank": 1.0}), 0.0, robot.q[0]
-    for _ in range(1000):
-        crank.target = robot.q + np.array([0.02, 0.0, 0.0])
-        robot.integrate(solve_step(robot, [crank], [limit], DT).velocity, DT)
+    while robot.q[0] - turned < 19.0:
+        crank.target = robot.q + np.array([speed * DT, 0.0, 0.0])
+        robot.integrate(solve_step(robot, [crank], [limit], DT, accuracy=accuracy).velocity, DT)
         worst = max(worst, *limit.drift(robot).values())
-    assert robot.q[0] - turned > 19.0  # three times round
-    assert worst < 1e-3  # second order: half of 0.02² rad² times the length of a bar, at each of three joints
+    return worst
+
+
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-6])
+def test_a_loop_that_is_turned_round_and_round_opens_by_no_more_than_a_tenth_of_the_accuracy(accuracy):
+    assert _round_and_round(accuracy, 5.0) <= 0.1 * accuracy
+
+
+def test_steps_of_first_order_open_it_by_the_square_of_their_length():
+    slow, fast = _round_and_round(None, 2.5), _round_and_round(None, 5.0)
+    assert 4e-4 < fast < 6e-4  # [m]
+    assert fast / slow == pytest.approx(4.0, rel=0.05)
+
+
+def test_everything_that_is_coupled_stays_so_while_a_robot_wanders():
+    robot = _robot(ALL, 4)
+    limit, rng, posture = ModelEqualities(robot), np.random.default_rng(0), Posture(robot)
+    for _ in range(400):
+        robot.integrate(solve_step(robot, [], [limit], DT).velocity, DT)
+    limits, worst = [limit, Velocity(robot, 5.0, base=(5.0, 5.0))], 0.0
+    for number in range(90):
+        if number % 30 == 0:
+            velocity = 5.0 * rng.normal(size=robot.model.nv)
+        target = robot.q
+        mujoco.mj_integratePos(robot.model, target, velocity, DT)
+        posture.target = target
+        robot.integrate(solve_step(robot, [posture], limits, DT).velocity, DT)
+        assert np.linalg.norm(robot.velocity) > 0.5
+        worst = max(worst, *limit.drift(robot).values())
+    assert worst <= 1e-5
+
+
+def test_a_linkage_that_is_driven_against_its_dead_point_stays_closed():
+    robot, limit = _closed()
+    rocker, worst, start = Posture(robot, weights={"rocker": 1.0}), 0.0, robot.q[2]
+    for _ in range(100):
+        rocker.target = robot.q + np.array([0.0, 0.0, 0.02])
+        robot.integrate(solve_step(robot, [rocker], [limit, Velocity(robot, 20.0)], DT).velocity, DT)
+        worst = max(worst, *limit.drift(robot).values())
+    assert 0.5 < robot.q[2] - start < 0.7
+    assert worst <= 1e-4
 
 
 def test_without_the_limit_the_loop_opens():

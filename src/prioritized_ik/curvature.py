@@ -8,13 +8,15 @@ import numpy as np
 
 from prioritized_ik.errors import StepNotFoundError
 from prioritized_ik.guard import END, Guarded, Limit
-from prioritized_ik.problem import IKProblem, Level, Rows, replaced
+from prioritized_ik.problem import Equalities, IKProblem, Level, Rows, replaced
 from prioritized_ik.robot import Robot
 from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.tasks.task import Task
+from prioritized_ik.tolerances import NOISE
 from prioritized_ik.validation import Array
 
 CORRECTIONS = 3  # each leaves an error of one order more
+CLOSED = 0.1  # of the accuracy is what a step may open equalities by
 DEEPER = 0.01  # of the accuracy is what a step may take of a row that is broken by more
 HALVINGS = 10  # of a step that breaks a limit by its curvature all the same; the last is a thousandth as long
 
@@ -27,8 +29,8 @@ class Straight:
 
     A step dθ moves a point by J dθ and a term of second order, at most ½ L (Σ|dθ_i|)² for joints that a length L
     reaches, in the joint metric. What it comes to is looked up at the end of the step, and the step is solved again with
-    it taken off: from the targets of levels that the step meets, and from the sides of the hard rows that it would break.
-    A step that breaks one all the same is made shorter.
+    it taken off: from the targets of levels that the step meets, from those of equalities, and from the sides of the hard
+    rows that it would break. A step that breaks one all the same is made shorter.
 
     Attributes:
         robot: that is to move; it is back where it was after each call.
@@ -54,10 +56,11 @@ class Straight:
             return problem, step
         first = problem.levels[len(problem.levels) - len(self.levels) :]
         meant = [_left(level, tasks) for level, tasks in zip(first, self.levels, strict=True)]
+        meant_open = self._opened() + problem.equalities.target
         for _ in range(CORRECTIONS):
-            ends, broken = self._ahead(step.dtheta)
+            ends, broken, opened = self._ahead(step.dtheta)
             left_out = [end - left for end, left in zip(ends, meant, strict=True)]
-            corrected = self._corrected(problem, step.dtheta, left_out, broken)
+            corrected = self._corrected(problem, step.dtheta, left_out, broken, np.nan_to_num(opened - meant_open))
             if corrected is None and not any(broken):
                 return problem, step
             again = self._found(corrected, solve)
@@ -83,19 +86,26 @@ class Straight:
         """What is left of each limit where the robot is."""
         return [limit.room(self.robot) for limit, _ in self.limits]
 
-    def _ahead(self, dtheta: Array) -> tuple[list[Array], list[dict[str, float]]]:
-        """Return each level's errors after a step, and what the step breaks of each limit, by how much."""
+    def _opened(self) -> Array:
+        """Return how far every equality is open `(e,)`; NaN where its limit does not tell."""
+        told = [
+            (limit.opened(self.robot), guard.equalities) for limit, guard in self.limits if guard.equalities is not None
+        ]
+        return np.concatenate([np.zeros(0), *(by if by.size else np.full_like(fixed.target, np.nan) for by, fixed in told)])
+
+    def _ahead(self, dtheta: Array) -> tuple[list[Array], list[dict[str, float]], Array]:
+        """Return each level's errors after a step, what it breaks of each limit, by how much, and `_opened`."""
         robot, q, velocity = self.robot, self.robot.q, self.robot.velocity
         try:
             robot.integrate(dtheta, 1.0)
             ends = [np.concatenate([task.rows(robot)[1] for task in tasks]) for tasks in self.levels]
-            after = [limit.room(robot) for limit, _ in self.limits]
+            after, opened = [limit.room(robot) for limit, _ in self.limits], self._opened()
         finally:
             robot.data.qvel[:] = velocity
             robot.update(q)
         if all(room >= -self.accuracy for rooms in after for room in rooms.values()):
-            return ends, [{} for _ in after]
-        return ends, [_broken(room, end, self.accuracy) for room, end in zip(self._rooms, after, strict=True)]
+            return ends, [{} for _ in after], opened
+        return ends, [_broken(room, end, self.accuracy) for room, end in zip(self._rooms, after, strict=True)], opened
 
     def _corrected(
         self,
@@ -103,6 +113,7 @@ class Straight:
         dtheta: Array,
         left_out: Sequence[Array],
         broken: Sequence[dict[str, float]],
+        opened: Array,
     ) -> IKProblem | None:
         """Return the problem with what a step leaves out taken off, or None where there is nothing to take it off."""
         first = len(problem.levels) - len(self.levels)
@@ -111,11 +122,13 @@ class Straight:
             for level, tasks, more in zip(problem.levels[first:], self.levels, left_out, strict=True)
         ]
         upper = self._tightened(problem, dtheta, broken)
-        if upper is None and all(level is None for level in levels):
+        drifts = bool((np.abs(opened) > CLOSED * self.accuracy).any())
+        if upper is None and not drifts and all(level is None for level in levels):
             return None
         kept = [new or old for new, old in zip(levels, problem.levels[first:], strict=True)]
         rows = problem.rows if upper is None else replaced(problem.rows, upper=upper)
-        return _with(problem, [*problem.levels[:first], *kept], rows)
+        fixed = _closed(problem, dtheta, opened) if drifts else problem.equalities
+        return replaced(_with(problem, [*problem.levels[:first], *kept], rows), equalities=fixed)
 
     def _tightened(self, problem: IKProblem, dtheta: Array, broken: Sequence[dict[str, float]]) -> Array | None:
         """Return the sides `(r,)` of hard rows, those that the step would break less by how much it would."""
@@ -171,6 +184,18 @@ def _aimed(level: Level, tasks: Sequence[Task], left_out: Array, dtheta: Array, 
     if unmet > accuracy or (np.abs(left_out) <= allowed)[counted].all():
         return None
     return replaced(level, target=level.target + left_out)
+
+
+def _closed(problem: IKProblem, dtheta: Array, opened: Array) -> Equalities:
+    """Return the equalities with what a step opens `(e,)` taken off, where rows that depend on each other can.
+
+    In no direction is that more than a step as long as this one can take back, so that none near a singular posture jumps.
+    """
+    scaled, step = problem.in_metric.equalities, float(np.linalg.norm(problem.to_metric(dtheta)))
+    directions, sizes, _ = np.linalg.svd(scaled.matrix, full_matrices=False)
+    along = np.where(sizes > NOISE * sizes.max(initial=0.0), directions.T @ opened, 0.0)
+    back = directions @ np.clip(along, -step * sizes, step * sizes)
+    return replaced(problem.equalities, target=problem.equalities.target - back)
 
 
 def _scaled(problem: IKProblem, share: float) -> IKProblem:

@@ -69,6 +69,13 @@ class Limit(ABC):
         """
         return {}
 
+    def opened(self, robot: Robot) -> Array:
+        """Return how far each of the equalities is open `(e,)`, in the order of `Guarded.equalities`.
+
+        None of a limit that has none, or whose equalities are exact.
+        """
+        return np.zeros(0)
+
 
 @dataclass(frozen=True)
 class Way:

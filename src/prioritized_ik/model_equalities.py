@@ -20,8 +20,9 @@ KINDS = {int(mujoco.mjtEq.mjEQ_CONNECT): "connect", int(mujoco.mjtEq.mjEQ_WELD):
 class ModelEqualities(Limit):
     """The active equalities of the model, `connect`, `weld`, `joint` and `tendon`, as hard rows J dθ = -gain c.
 
-    c is how far an equality is open [m; rad for joints, and times `torquescale` for the rotation of welds]: a step keeps it
-    closed to first order, and the next one takes back the drift of second order. Where the rows depend on each other, as
+    c is how far an equality is open [m; rad for joints, and times `torquescale` for the rotation of welds]. Rows are of
+    first order: what a step opens by its second is looked up at its end and taken off, see `solve_step`, so that no more
+    than a tenth of its `accuracy` is left for the next step to take back. Where the rows depend on each other, as
     those of a loop in the plane, only the part of c that some step takes back is asked for; near a singular posture, no
     more of it than joints of `return_speed` can.
 
@@ -56,6 +57,10 @@ class ModelEqualities(Limit):
         """Return how far each active equality is open, the largest of its rows, by name."""
         _, open_by, which = _rows(robot)
         return {_name(robot, number): float(np.abs(open_by[which == number]).max()) for number in np.unique(which).tolist()}
+
+    def opened(self, robot: Robot) -> Array:
+        """Return how far each row is open `(e,)`, see `drift`."""
+        return _rows(robot)[1]
 
     def _at(self, robot: Robot, dt: float) -> Guarded:
         matrix, open_by, which = _rows(robot)

@@ -129,8 +129,9 @@ def solve_step(
 
     Rows are of first order. A step of joints dθ that reach L moves points by up to ½ L (Σ|dθ_i|)² besides: half a
     millimetre for 1 m and 3 % of a radian in all. Where a step would so leave a level that it meets, or break a limit, by
-    more than `accuracy`, it is solved again with that taken off, up to three times; one that breaks a limit all the same
-    is made shorter. `Motion.problem` is then the problem solved last.
+    more than `accuracy`, or open one of the model's equalities by a tenth of that, it is solved again with that taken off,
+    up to three times; one that breaks a limit all the same is made shorter. `Motion.problem` is then the problem solved
+    last.
 
     Args:
         robot: up to date; it does not move.
