@@ -78,7 +78,7 @@ class KinematicTree:
 
     @cached_property
     def runs(self) -> tuple[tuple[int, int, int], ...]:
-        """Unbranched runs of joints: of each the first, the end, and the joint before it."""
+        """The first joint, the end, and the joint before, of each unbranched run of joints."""
         starts = np.flatnonzero(self.parents != np.arange(-1, self.joint_count - 1)).tolist()
         if self.joint_count and (not starts or starts[0]):
             starts = [0, *starts]
@@ -89,7 +89,7 @@ class KinematicTree:
 
     @cached_property
     def linear_at_origin(self) -> Array:
-        """Velocity of the world's origin, if it were carried by each joint `(m, 3)`: v - ω × c."""
+        """Velocity of the world's origin, v - ω × c, if each joint carried it `(m, 3)`."""
         return self.linear - _crossed(self.angular, self.anchors)
 
     def twists(self, dtheta: Array) -> tuple[Array, Array]:
