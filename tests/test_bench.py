@@ -18,7 +18,7 @@ import pytest
 from click.testing import CliRunner, Result
 from winding_fixtures import recorded
 
-from comparisons import robots
+from comparisons import goals
 from comparisons.bench import command, neighbours, report, winding
 from comparisons.bench.clock import Times, quantile, ratio, rotated, timed
 from comparisons.bench.rivals import Dgelsy, Mink, MinkOnRobot, in_one_level
@@ -221,7 +221,7 @@ def test_mink_poses_the_same_qp_on_the_winding(step: int, monkeypatch: pytest.Mo
 @pytest.mark.parametrize("name", ROBOTS)
 def test_mink_poses_the_same_qp_on_a_robot(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if name in TURNING:
-        monkeypatch.setattr(robots, "REACH", (-4.0, -4.0))
+        monkeypatch.setattr(goals, "REACH", (-4.0, -4.0))
     for seed in range(4):
         scene = ROBOTS[name].scene(seed)
         one = problem_of(ROBOTS[name], scene, 1)

@@ -18,7 +18,7 @@ from hierarchies import random_hierarchy, sensitivity
 from tolerances import ROUNDING
 from units import physical, reposed
 
-from comparisons import robots
+from comparisons import goals
 from comparisons.robots import ROBOTS, robot_steps
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.lexicographic import SolveOptions
@@ -226,9 +226,10 @@ def test_a_robot_has_one_structure_and_a_seed_one_step(name):
 
 @pytest.mark.parametrize("seed", range(SAMPLE))
 def test_a_short_way_is_what_the_jacobians_say(seed, monkeypatch):
-    monkeypatch.setattr(robots, "REACH", (-4.0, -4.0))
+    monkeypatch.setattr(goals, "REACH", (-4.0, -4.0))
     scene = ROBOTS["humanoid"].scene(seed)
     way = np.empty(scene.model.nv)
     mujoco.mj_differentiatePos(scene.model, way, 1.0, scene.now.qpos, scene.wanted.qpos)
-    for level in (scene.position("left hand"), scene.orientation("right hand"), scene.centre_of_mass()):
+    for goal in (scene.position("left hand"), scene.orientation("right hand"), scene.centre_of_mass()):
+        level = goal.level(scene.model.nv)
         assert level.matrix @ way == pytest.approx(level.target, abs=1e-3 * np.linalg.norm(level.target))

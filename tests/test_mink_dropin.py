@@ -26,7 +26,7 @@ import paper_repro.drop_in
 from comparisons.drop_in import by_mink, reference
 from comparisons.exact_qp import DIGITS, decimals, minimise
 from comparisons.mink_scenes import DT, MACHINES, SCALAR, SCENARIOS, Machine, configured, posed, scene
-from comparisons.robots import HUMANOID, compiled
+from comparisons.robot_models import HUMANOID, compiled
 from paper_repro.artefact import QUICK
 from paper_repro.jobs import Results
 from prioritized_ik import explain, get_method

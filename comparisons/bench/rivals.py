@@ -15,8 +15,8 @@ import numpy as np
 import scipy.linalg.lapack
 from numpy.typing import NDArray
 
+from comparisons.goals import Scene
 from comparisons.mink_today import MinkBench
-from comparisons.robots import Scene
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows, replaced
 from prioritized_ik.solvers.backends.qpsolvers_ import SOLVER_ERRORS
 from prioritized_ik.solvers.backends.registry import ACCURACY

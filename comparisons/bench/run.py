@@ -14,7 +14,7 @@ from comparisons.bench.growth import Growth, measure_growth
 from comparisons.bench.neighbours import PACKAGES, missing
 from comparisons.bench.profile import Profile, measure_profile
 from comparisons.bench.settings import ROBOT_LEVELS, BenchSettings
-from comparisons.bench.tracks import RobotTimes, label, measure_robots
+from comparisons.bench.tracks import SOLVING, RobotTimes, label, measure_robots
 from comparisons.bench.winding import ALL, KINDS, NEAR, OURS, PARTS, WindingTimes, measure_windings
 from comparisons.origin import cpu_model, versions
 from comparisons.settings import MINK_SOLVERS
@@ -108,10 +108,18 @@ def headlines(bench: Bench) -> dict[str, float | None]:
         "solve_over_gelsy_p50": ratio(solve, gelsy),
         "solve_over_gelsy_near_cut_p50": ratio(near[SOLVE], near[DGELSY]),
         "strict_over_one_level_p50": ratio(strict, one),
-        "robots_1_level_over_mink_p50": worst(robot_ratio(robot, 1) for robot in bench.robots.values()),
-        "robots_3_levels_active_over_mink_p50": worst(
-            robot_ratio(robot, 3, robot.active[3]) for robot in bench.robots.values()
-        ),
+        **{
+            f"robots_{name}_over_mink_p50": worst(
+                robot_ratio(robot, levels, robot.active[3] if levels == 3 else None, solving=solving)
+                for robot in bench.robots.values()
+            )
+            for name, levels, solving in (
+                ("1_level", 1, False),
+                ("3_levels_active", 3, False),
+                ("1_level_solve", 1, True),
+                ("3_levels_active_solve", 3, True),
+            )
+        },
         "steps_without_qp": ratio(bench.windings.without_qp, bench.windings.steps),
         "first_solve_s": bench.first_calls["ours"].total,
     }
@@ -136,10 +144,12 @@ def kind_figures(bench: Bench, kind: str) -> dict[str, float | int | None]:
     }
 
 
-def robot_ratio(robot: RobotTimes, levels: int, works: Collection[Any] | None = None, share: float = 0.5) -> float | None:
-    """Return ours over the median of mink's one level at the same states; None where there is none."""
+def robot_ratio(
+    robot: RobotTimes, levels: int, works: Collection[Any] | None = None, share: float = 0.5, *, solving: bool = False
+) -> float | None:
+    """Return ours, without posing if `solving`, over the median of mink's one level at the same states."""
     chosen = None if works is None else set(works)
-    ours, mink = (robot.times.of(name, chosen) for name in (label(levels), MINK))
+    ours, mink = (robot.times.of(name, chosen) for name in (label(levels) + SOLVING * solving, MINK))
     return ratio(quantile(ours, share), quantile(mink, 0.5))
 
 
@@ -157,6 +167,7 @@ def _robot(robot: RobotTimes) -> dict[str, Any]:
             **_told(robot.times, label(count)),
             "over_mink_p50": robot_ratio(robot, count),
             "p99_over_mink_p50": robot_ratio(robot, count, share=0.99),
+            "solve_over_mink_p50": robot_ratio(robot, count, solving=True),
             "inactive_over_mink_p50": robot_ratio(robot, count, states - active),
             "active_over_mink_p50": robot_ratio(robot, count, active),
             "cold_over_mink_p50": robot_ratio(robot, count, robot.cold),

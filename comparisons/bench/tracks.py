@@ -13,13 +13,16 @@ from comparisons.bench.clock import Times, rotated, timed
 from comparisons.bench.rivals import MinkOnRobot, answering
 from comparisons.bench.settings import ROBOT_LEVELS, BenchSettings
 from comparisons.bench.winding import gap
-from comparisons.robots import ROBOTS, Robot, Scene
+from comparisons.goals import Scene
+from comparisons.robots import ROBOTS, Robot
 from comparisons.settings import MINK_SOLVERS
 from prioritized_ik.models import update_kinematics
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.methods import ActiveSet
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.validation import Array
+
+SOLVING = ", solve"  # of the times of one number of levels, those from the problem to the certified step
 
 Work = tuple[int, int]  # track, step
 
@@ -30,7 +33,7 @@ class RobotTimes:
 
     Attributes:
         joints: m.
-        times: by "1 level" and so on, and by mink's solver.
+        times: by "1 level" and so on, posing and solving, by the same and `SOLVING`, and by mink's solver.
         active: of each number of levels, the states where a row or limit binds.
         cold: the first state of each track.
         gaps: of mink's answer to the first level, see `winding.gap`.
@@ -101,7 +104,7 @@ def _states(robot: Robot, scene: Scene, count: int) -> list[Array]:
     """Return the joint positions that the robot's own hierarchy goes through, fewer than `count` where it finds no step."""
     solver, states = ActiveSet(), [scene.now.qpos.copy()]
     while len(states) < count:
-        step = _step(robot, scene, solver, len(robot.levels))
+        step = solver.step(robot.problem(scene))
         if step.dtheta is None:
             break
         _move(scene, step.dtheta)
@@ -128,12 +131,15 @@ def _measure_track(
         questions.append(problem_of(robot, scene, 1))
 
     def go_ours(count: int) -> None:
-        _step(robot, scene, ActiveSet(), count)  # warms up the processor, not the solver
-        solver = ActiveSet()
+        update_kinematics(scene.model, scene.now, states[0])
+        pose, solver = robot.live(scene, problem_of(robot, scene, count)), ActiveSet()
+        ActiveSet().step(pose())  # warms up the processor, not the solver
         for number, q in enumerate(states):
             update_kinematics(scene.model, scene.now, q)
-            seconds, step = timed(partial(_step, robot, scene, solver, count))
-            measured.times.add(label(count), (track, number), seconds)
+            posing, problem = timed(pose)
+            solving, step = timed(partial(solver.step, problem))
+            measured.times.add(label(count), (track, number), posing + solving)
+            measured.times.add(label(count) + SOLVING, (track, number), solving)
             _count(step, measured)
             steps[count].append(step)
 
@@ -164,11 +170,6 @@ def _count(step: JointStep, measured: RobotTimes) -> None:
     measured.certificates += step.certificate is not None
     measured.certified += bool(step.certificate is not None and step.certificate.holds)
     measured.paths[str(getattr(step, "path", "python"))] += 1
-
-
-def _step(robot: Robot, scene: Scene, solver: ActiveSet, count: int) -> JointStep:
-    """Pose the problem of a state whose kinematics are up to date, and return its certified step."""
-    return solver.step(problem_of(robot, scene, count))
 
 
 def _move(scene: Scene, dtheta: Array) -> None:

@@ -10,151 +10,117 @@ time. A `LiveProblem` is made of one problem, keeps what does not change, and le
         live.lower[:], live.upper[:] = bounds
         step = solve(live.frozen(), solver)
 
-A row that is to be left out for a while gets an infinite side.
+Matrices are C-contiguous, so that MuJoCo can write its Jacobians into them. A row that is to be left out for a while gets
+an infinite side.
 """
 
-from typing import Any
-
-import numpy as np
-
 from prioritized_ik.errors import InputError
-from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows, trusted
-from prioritized_ik.validation import LARGEST, Array, lengths
+from prioritized_ik.packed import Layout, PackedProblem
+from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.solvers.compiled import fast
+from prioritized_ik.validation import Array
 
 
 class LiveProblem:
     """Arrays to be written in place, and the problem that they stand for.
 
-    Attributes:
-        lower, upper: bounds on dθ `(m,)` [rad].
-        reference: r `(m,)` [rad].
-        row_matrix, row_upper: of the hard inequality rows `(r, m)`, `(r,)`.
-        equality_matrix, equality_target: of the hard equalities `(e, m)`, `(e,)`.
+    Args:
+        problem: with the shapes, names, kinds of levels, damping, metric and noise to keep, and the first numbers.
+
+    Raises:
+        InputError: something else.
     """
 
     def __init__(self, problem: IKProblem) -> None:
         if not isinstance(problem, IKProblem):
             raise InputError(f"problem is of type {type(problem).__name__}; expected an IKProblem with the shapes to keep.")
-        self._first = problem
-        self._numbers = {level.name: number for number, level in reversed(list(enumerate(problem.levels)))}
-        self._matrices = [level.matrix.copy() for level in problem.levels]
-        self._targets = [level.target.copy() for level in problem.levels]
-        self._weights = [level.weights.copy() for level in problem.levels]
-        self.lower, self.upper = problem.bounds.lower.copy(), problem.bounds.upper.copy()
-        self.reference = problem.reference.copy()
-        self.row_matrix, self.row_upper = problem.rows.matrix.copy(), problem.rows.upper.copy()
-        self.equality_matrix, self.equality_target = problem.equalities.matrix.copy(), problem.equalities.target.copy()
-        self._shapes = [array.shape for array in self._arrays()]
+        self._layout = Layout(problem)
+        self._numbers = self._layout.packed()
+        self._parts = self._layout.parts(self._numbers)
+        self._places = {level.name: number for number, level in reversed(list(enumerate(problem.levels)))}
 
-    def matrix(self, level: str | int) -> Array:
-        """Return A `(k, m)` of a level, by its name or number, to be written in place."""
-        return self._matrices[self._number(level)]
+    @property
+    def lower(self) -> Array:
+        """Lower bounds on dθ `(m,)` [rad], to be written in place, as all that follows."""
+        return self._parts.lower
 
-    def target(self, level: str | int) -> Array:
-        """Return b `(k,)` of a level, by its name or number, to be written in place."""
-        return self._targets[self._number(level)]
+    @property
+    def upper(self) -> Array:
+        """Upper bounds on dθ `(m,)` [rad]."""
+        return self._parts.upper
 
-    def weights(self, level: str | int) -> Array:
-        """Return the diagonal of W `(k,)` of a level, by its name or number, to be written in place."""
-        return self._weights[self._number(level)]
+    @property
+    def reference(self) -> Array:
+        """Reference r `(m,)` [rad]."""
+        return self._parts.reference
+
+    @property
+    def row_matrix(self) -> Array:
+        """Matrix of the hard inequality rows `(r, m)`."""
+        return self._parts.row_matrix
+
+    @property
+    def row_upper(self) -> Array:
+        """Sides of the hard inequality rows `(r,)`."""
+        return self._parts.row_upper
+
+    @property
+    def equality_matrix(self) -> Array:
+        """Matrix of the hard equalities `(e, m)`."""
+        return self._parts.equality_matrix
+
+    @property
+    def equality_target(self) -> Array:
+        """Target of the hard equalities `(e,)`."""
+        return self._parts.equality_target
+
+    def matrix(self, level: str | int | None = None) -> Array:
+        """Return A `(k, m)` of a level, by its name or number; of all levels one after the other if none is given."""
+        return self._parts.matrix[self._rows(level)]
+
+    def target(self, level: str | int | None = None) -> Array:
+        """Return b `(k,)` of a level, as `matrix`."""
+        return self._parts.target[self._rows(level)]
+
+    def weights(self, level: str | int | None = None) -> Array:
+        """Return the diagonal of W `(k,)` of a level, as `matrix`."""
+        return self._parts.weights[self._rows(level)]
 
     def frozen(self) -> IKProblem:
         """Return the problem as it is now; it does not change with the arrays.
 
         Raises:
-            InputError: a number that no problem may hold, as `IKProblem` would say, or an array put in the place of one.
+            InputError: a number that no problem may hold, as `IKProblem` would say.
         """
-        if not self._is_sound():
-            self._complain()
-        first = self._first
-        levels = tuple(
-            trusted(
-                Level,
-                matrix=self._matrices[number].copy(),
-                target=self._targets[number].copy(),
-                weights=self._weights[number].copy(),
-                name=level.name,
-                kind=level.kind,
-                damping=level.damping,
-                below=level.below,
-            )
-            for number, level in enumerate(first.levels)
-        )
-        return trusted(
-            IKProblem,
-            levels=levels,
-            bounds=trusted(Bounds, lower=self.lower.copy(), upper=self.upper.copy(), names=first.bounds.names),
-            rows=trusted(Rows, matrix=self.row_matrix.copy(), upper=self.row_upper.copy(), names=first.rows.names),
-            reference=self.reference.copy(),
-            equalities=trusted(
-                Equalities,
-                matrix=self.equality_matrix.copy(),
-                target=self.equality_target.copy(),
-                names=first.equalities.names,
-            ),
-            metric=first.metric,
-            noise=first.noise,
-        )
+        frozen = PackedProblem(self._layout, self._numbers.copy())
+        if not fast.is_sound(frozen):
+            _check(frozen)
+        return frozen
 
-    def _number(self, level: str | int) -> int:
-        if isinstance(level, int) and -len(self._matrices) <= level < len(self._matrices):
-            return level
-        if level not in self._numbers:
-            known = ", ".join(repr(level.name) for level in self._first.levels) or "none"
+    def _rows(self, level: str | int | None) -> slice:
+        levels = self._layout.levels
+        if level is None:
+            return slice(None)
+        if isinstance(level, int) and -len(levels) <= level < len(levels):
+            return levels[level]
+        if level not in self._places:
+            known = ", ".join(repr(level.name) for level in self._layout.pattern.levels) or "none"
             raise InputError(f"there is no level {level!r}; there are: {known}.")
-        return self._numbers[str(level)]
+        return levels[self._places[str(level)]]
 
-    def _arrays(self) -> list[Array]:
-        own = [self.lower, self.upper, self.reference, self.row_matrix, self.row_upper]
-        return [*self._matrices, *self._targets, *self._weights, *own, self.equality_matrix, self.equality_target]
 
-    def _is_sound(self) -> bool:
-        """Whether all is as the checks of `IKProblem` would have it, seen from a few sums; if in doubt, it is not."""
-        arrays: list[Any] = self._arrays()
-        if [getattr(array, "shape", None) for array in arrays] != self._shapes:
-            return False
-        finite = [
-            *self._matrices,
-            *self._weights,
-            self.reference,
-            self.row_matrix,
-            self.equality_matrix,
-            self.equality_target,
-        ]
-        finite += [b for b, level in zip(self._targets, self._first.levels, strict=True) if not level.is_soft]
-        sides = [b for b, level in zip(self._targets, self._first.levels, strict=True) if level.is_soft]
-        return (
-            all([array.dtype == np.float64 for array in arrays])
-            and all([np.vdot(array, array) <= LARGEST**2 for array in finite])  # so is every number; none is NaN
-            and all([(weights >= 0.0).all() for weights in self._weights])
-            and all([(side >= -LARGEST).all() for side in (*sides, self.row_upper)])
-            and bool((self.lower <= self.upper).all())
-            and bool((self.lower < np.inf).all() and (self.upper > -np.inf).all())
-            and all([lengths(rows).all() for rows in (self.row_matrix, self.equality_matrix) if len(rows)])
-        )
-
-    def _complain(self) -> None:
-        """Check everything as `IKProblem` does, which says what is wrong; what it accepts is right after all."""
-        shapes = [np.shape(array) for array in self._arrays()]
-        if shapes != self._shapes:
-            place = next(i for i, (have, want) in enumerate(zip(shapes, self._shapes, strict=True)) if have != want)
-            raise InputError(
-                f"an array of the live problem has shape {shapes[place]}; expected {self._shapes[place]}: write into the "
-                "arrays ([:] =), and make a new LiveProblem for a new shape."
-            )
-        first = self._first
-        levels = [
-            Level(matrix, target, weights, level.name, level.kind, level.damping, level.below)
-            for level, matrix, target, weights in zip(
-                first.levels, self._matrices, self._targets, self._weights, strict=True
-            )
-        ]
-        IKProblem(
-            levels,
-            Bounds(self.lower, self.upper, first.bounds.names),
-            Rows(self.row_matrix, self.row_upper, first.rows.names),
-            self.reference,
-            Equalities(self.equality_matrix, self.equality_target, first.equalities.names),
-            metric=first.metric,
-            noise=first.noise,
-        )
+def _check(problem: IKProblem) -> None:
+    """Check everything as `IKProblem` does, which says what is wrong."""
+    bounds, rows, fixed = problem.bounds, problem.rows, problem.equalities
+    IKProblem(
+        [
+            Level(level.matrix, level.target, level.weights, level.name, level.kind, level.damping, level.below)
+            for level in problem.levels
+        ],
+        Bounds(bounds.lower, bounds.upper, bounds.names),
+        Rows(rows.matrix, rows.upper, rows.names),
+        problem.reference,
+        Equalities(fixed.matrix, fixed.target, fixed.names),
+        metric=problem.metric,
+        noise=problem.noise,
+    )

@@ -335,6 +335,11 @@ class IKProblem:
             noise=fraction("noise", noise, below=NOISIEST),
         )
 
+    @property
+    def pattern(self) -> "IKProblem":
+        """A problem of the same shape, names, kinds of levels, damping, metric and noise, at hand whatever its numbers."""
+        return self
+
     def with_levels(self, levels: Sequence[Level]) -> "IKProblem":
         """Return the problem with other levels."""
         return replaced(self, levels=tuple(levels))

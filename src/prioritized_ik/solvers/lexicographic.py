@@ -124,7 +124,7 @@ def joint_step(problem: IKProblem, start: Start, options: SolveOptions, method: 
     """
     if options.soften:
         problem, options = problem.softened(options.soften), replace(options, soften=())
-    if any([level.damping and level.below == "free" for level in problem.levels]):
+    if any([level.damping and level.below == "free" for level in problem.pattern.levels]):
         return _damped_step(problem, start, options).made_by(method)
     return _undamped_step(problem, start, options, method).made_by(method)
 
@@ -144,10 +144,10 @@ def _damped_step(problem: IKProblem, start: Start, options: SolveOptions) -> Joi
 
 def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions, method: str = "") -> JointStep:
     """Return the outcome of one solve of a problem whose damping, if any, is rows."""
-    clock = Clock()
     compiled = options.polish and fast.answers(problem)
     if compiled and (quick := _compiled_step(problem, start, options, method)) is not None:
         return quick
+    clock = Clock()
     hierarchy = Hierarchy(problem, options.rank_tolerance)
     solution: Solution | None = None
     if hierarchy.impossible:
@@ -184,7 +184,7 @@ def _compiled_step(problem: IKProblem, start: Start, options: SolveOptions, meth
         question = Question.STEP if options.closed_form_first else Question.FROM_GUESS_ONLY
         step = fast.compiled_step(problem, options.rank_tolerance, start.last, question, method)
         if step is not None and step.status is not StepStatus.CLOSED_FORM:
-            start.remember(step.written.active())
+            start.remember(step.written.active)
         return step
     if not options.closed_form_first:
         return None

@@ -5,6 +5,7 @@
 #include <cpuid.h>
 #endif
 
+#include "packed.hpp"
 #include "step.hpp"
 #include "winding.hpp"
 
@@ -67,12 +68,21 @@ EXPORTED void core_arrays(Step* step, void** at) {
     *at++ = io.guess.data();
     for (auto* array : {&io.dtheta, &io.figures, &io.multipliers}) *at++ = array->data();
     *at++ = io.lists.data();
+    *at++ = io.kept.data();
+    *at++ = io.packed.data();
 }
 
-// An `Ending`; -1 if memory runs out.
+// Reads a problem from the one array `packed`; whether its numbers are beyond doubt.
+EXPORTED int core_read(Step* step, int levels, int level_rows, int rows, int equalities, double largest) {
+    return prioritized_ik::read_packed(step->io, Sizes{step->most.joints, levels, level_rows, rows, equalities}, step->stride, largest);
+}
+
+// An `Ending`, and above its eight bits how much of the lists is written; -1 if memory runs out.
 EXPORTED int core_solve(Step* step, int levels, int level_rows, int rows, int equalities, int question) {
     try {
-        return step->solve(Sizes{step->most.joints, levels, level_rows, rows, equalities}, prioritized_ik::Question(question));
+        const Sizes now{step->most.joints, levels, level_rows, rows, equalities};
+        const int ending = step->solve(now, prioritized_ik::Question(question));
+        return ending | step->io.used << 8;
     } catch (const std::bad_alloc&) {
         return -1;
     }

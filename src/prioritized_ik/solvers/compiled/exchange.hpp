@@ -34,6 +34,8 @@ enum Ending : int {
     UNPROVEN,      // declined: the certificate does not hold, or without margin
 };
 
+enum Guess : uint8_t { LOOSE, TIGHT_ROW, NOT_KEPT };  // of a row; those of fast.py
+
 enum Question { STEP, CLOSED_FORM_ONLY, FROM_GUESS_ONLY };  // those of library.py
 
 struct Declined {
@@ -56,7 +58,8 @@ struct Exchange {
     std::vector<double> settings;  // rank tolerance, noise
     std::vector<int32_t> ends;     // of the levels' rows
     std::vector<uint8_t> soft;     // whether a level is one of soft inequalities
-    std::vector<uint8_t> guess;    // upper bounds, lower bounds, rows, rows of soft levels: 1 tight, 2 exceeded
+    std::vector<uint8_t> guess;    // upper bounds, lower bounds, rows, rows of soft levels: a `Guess` each
+    std::vector<double> packed;    // all numbers of a problem in one array instead, see packed.hpp
     // out
     std::vector<double> dtheta;
     std::vector<double> figures;      // a level: gap, relative gap, stationarity, rounding; then violation, scale, costs
@@ -65,6 +68,8 @@ struct Exchange {
     // computed from, tight or exceeded, and of the hard rows it ends on; of rows that are rounding, the levels' first; of the
     // rows that hold a level, each after its level's number. Upper bounds come first, then lower bounds, rows, soft levels.
     std::vector<int32_t> lists;
+    std::vector<uint8_t> kept;  // the rows that the step was computed from, as a guess for the next
+    int used = 0;               // of the lists
 
     Exchange(const Sizes& most, size_t stride) {
         const size_t m = most.joints, all = 2 * m + most.rows + most.level_rows, levels = most.levels;
@@ -80,6 +85,8 @@ struct Exchange {
         ends.resize(levels);
         soft.resize(levels);
         guess.resize(all);
+        kept.resize(all);
+        packed.resize(m * (most.level_rows + most.rows + most.equalities + 3) + 2 * most.level_rows + most.rows + most.equalities);
         dtheta.resize(stride);
         figures.resize(FIGURES * (levels + 1) + 2 + levels);
         multipliers.resize((levels + 1) * all);

@@ -4,46 +4,55 @@ from collections.abc import Collection
 from time import perf_counter
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from prioritized_ik.late import Late
+from prioritized_ik.packed import PackedProblem
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.certificate import Certificate
 from prioritized_ik.solvers.compiled.library import Ending, Question, library
 from prioritized_ik.solvers.compiled.workspace import (
-    ACTIVE,
     COUNTS,
-    EXCEEDED,
     FIGURES,
-    HOLDING,
     Sizes,
     Workspace,
     workspace_for,
+    workspace_of,
 )
 from prioritized_ik.solvers.report import DeferredReports
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.tolerances import NOISE
 from prioritized_ik.validation import Array
 
-TIGHT, NOT_KEPT = 1, 2  # of a guessed row
-FEW = 64  # counts and lists of most steps, read at once
+LOOSE, TIGHT, NOT_KEPT = 0, 1, 2  # of a guessed row; those that are not kept are of soft levels
 
 _STATUS: dict[int, StepStatus] = {Ending.CLOSED_FORM: StepStatus.CLOSED_FORM, Ending.SOLVED: StepStatus.SOLVED}
 
 
 def answers(problem: IKProblem) -> bool:
     """Whether the core takes problems of this kind, see the table in `compiled/__init__.py`."""
-    return library().core is not None and problem.noise == NOISE and len(problem.reference) > 0
+    pattern = problem.pattern
+    return library().core is not None and pattern.noise == NOISE and len(pattern.reference) > 0
+
+
+def is_sound(problem: PackedProblem) -> bool:
+    """Whether the core sees at once that `IKProblem` takes such numbers; if in doubt, and without a core, it does not."""
+    if library().core is None or problem.pattern.metric.ndim == 2 or not len(problem.pattern.reference):
+        return False
+    workspace, sizes = workspace_of(problem.layout)
+    return workspace.read(problem.numbers, sizes)
 
 
 class Remembered(NamedTuple):
-    """Rows by their numbers among `names`; those `exceeded` are of soft levels."""
+    """Which rows a step was computed from: of each of `names`, a byte that says so."""
 
     names: tuple[str, ...]
-    numbers: list[int]
-    exceeded: list[int]
+    kept: bytes
 
     def named(self) -> tuple[str, ...]:
         """Return the names of the rows."""
-        return tuple([self.names[number] for number in sorted(self.numbers + self.exceeded)])
+        return tuple([name for name, kept in zip(self.names, self.kept, strict=True) if kept])
 
 
 class CompiledStep(JointStep):
@@ -89,15 +98,9 @@ class Written(NamedTuple):
     rank_tolerance: float
     dtheta: Array
     figures: Array
-    lists: list[int]
-    names: tuple[str, ...]
+    lists: NDArray[np.int32]
+    active: Remembered
     seconds: float
-
-    def active(self) -> Remembered:
-        """Return the rows that the step was computed from."""
-        exceeded = COUNTS + self.lists[ACTIVE]
-        end = exceeded + self.lists[EXCEEDED]
-        return Remembered(self.names, self.lists[COUNTS:exceeded], self.lists[exceeded:end])
 
 
 def compiled_step(
@@ -117,59 +120,74 @@ def compiled_step(
         method: name of who solves.
     """
     started = perf_counter()
-    flat = problem if problem.metric.ndim == 1 else problem.in_metric
-    sizes = Sizes.of(flat)
-    workspace = workspace_for(sizes)
-    workspace.fill(flat, sizes, rank_tolerance)
-    workspace.name(flat)
+    is_flat = problem.pattern.metric.ndim == 1
+    if isinstance(problem, PackedProblem) and is_flat:
+        workspace, sizes = _packed(problem, rank_tolerance)
+    else:
+        workspace, sizes = _filled(problem if is_flat else problem.in_metric, rank_tolerance)
     _guess(rows, workspace)
-    status = _STATUS.get(workspace.solve(sizes, question))
+    ending, used = workspace.solve(sizes, question)
+    status = _STATUS.get(ending)
     if status is None:
         return None
-    lists: list[int] = workspace.lists[:FEW].tolist()
-    last = COUNTS + sum(lists[ACTIVE:HOLDING]) + 2 * lists[HOLDING]
-    if last > FEW:
-        lists = workspace.lists[:last].tolist()
     dtheta = workspace.dtheta.copy()
-    if flat is not problem:
+    if not is_flat:
         dtheta = problem.from_metric(dtheta)
     figures = workspace.figures[: FIGURES * (sizes.levels + 1) + 2 + sizes.levels].copy()
+    active = Remembered(workspace.names, workspace.kept_rows())
     step = object.__new__(CompiledStep)
     step.__dict__.update(
         dtheta=dtheta,
         status=status,
         path="compiled",
         method=method,
-        written=Written(problem, rank_tolerance, dtheta, figures, lists, workspace.names, perf_counter() - started),
+        written=Written(
+            problem, rank_tolerance, dtheta, figures, workspace.lists[:used].copy(), active, perf_counter() - started
+        ),
     )
     return step
 
 
+def _filled(problem: IKProblem, rank_tolerance: float) -> tuple[Workspace, Sizes]:
+    """Return the workspace that a problem was written into, and its sizes."""
+    sizes = Sizes.of(problem)
+    workspace = workspace_for(sizes)
+    workspace.fill(problem, sizes, rank_tolerance)
+    workspace.name(problem)
+    return workspace, sizes
+
+
+def _packed(problem: PackedProblem, rank_tolerance: float) -> tuple[Workspace, Sizes]:
+    """Return the workspace of a problem that lives, with its numbers, and its sizes."""
+    workspace, sizes = workspace_of(problem.layout)
+    workspace.settings[0] = rank_tolerance
+    if not workspace.holds(problem.numbers):
+        workspace.read(problem.numbers, sizes)
+    return workspace, sizes
+
+
 def _guess(rows: Collection[str] | Remembered, workspace: Workspace) -> None:
     """Write which rows the step may rest on, those that the problem does not have left out."""
-    guess = workspace.guess
-    guess[:] = 0
     if isinstance(rows, Remembered):
         if rows.names is workspace.names:
-            for number in rows.numbers:
-                guess[number] = TIGHT
-            for number in rows.exceeded:
-                guess[number] = NOT_KEPT
+            workspace.guess_rows(rows.kept)
             return
         rows = rows.named()
-    known = workspace.numbers
+    guess, known = bytearray(len(workspace.names)), workspace.numbers
     for name in rows:
         if name in known:
             guess[known[name]] = TIGHT
+    workspace.guess_rows(guess)
 
 
 def _fields(written: Written) -> dict[str, Any]:
     """Return the fields of a step that are put together late."""
-    problem, rank_tolerance, dtheta, values, lists, names, seconds = written
+    problem, rank_tolerance, dtheta, values, numbers, active, seconds = written
+    lists, names = numbers.tolist(), active.names
     levels = len(problem.levels)
     end, figures = FIGURES * (levels + 1), values.tolist()
-    corrections, _, _, active, exceeded, tight, zero, holding = lists[:COUNTS]
-    exceeded += active + COUNTS
+    corrections, _, _, computed_from, exceeded, tight, zero, holding = lists[:COUNTS]
+    exceeded += computed_from + COUNTS
     tight += exceeded
     zero += tight
     held: list[tuple[str, ...]] = [()] * (levels + 1)
@@ -191,7 +209,7 @@ def _fields(written: Written) -> dict[str, Any]:
         "repairs": corrections,
         "levels": DeferredReports(problem, rank_tolerance, dtheta),
         "zeros": _row_names(problem, lists[tight:zero], names[2 * problem.joint_count :]) if zero > tight else (),
-        "active_rows": written.active().named(),
+        "active_rows": active.named(),
         "timings": Timings(seconds, 0.0),
     }
 

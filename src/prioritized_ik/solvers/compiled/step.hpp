@@ -85,7 +85,6 @@ class Step : public ActiveSet {
     }
 
     void start_from_guess() {
-        constexpr int NOT_KEPT = 2;
         for (int i = 0; i < all_; i++) {
             exceeded_[i] = i >= hard_ && io.guess[i] == NOT_KEPT && side_[i] < INFINITE;
             active_[i] = io.guess[i] && side_[i] < INFINITE && !exceeded_[i];

@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from prioritized_ik.packed import Layout
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled.library import Question, library, tolerances_of
-from prioritized_ik.validation import Array, distinct
+from prioritized_ik.validation import LARGEST, Array, distinct
 
 FIGURES = 4  # of a level: gap, relative gap, stationarity, rounding
 COUNTS = 8  # corrections, faces, proofs; the lengths of the lists of active, exceeded, tight, zero and holding rows
-ACTIVE, EXCEEDED, HOLDING = 3, 4, 7  # their places; those between are of the tight rows and of those that are rounding
-ARRAYS = 20  # that both sides see
+ARRAYS = 22  # that both sides see
 
 
 class Sizes(NamedTuple):
@@ -69,7 +69,7 @@ class Workspace:
     def __init__(self, room: Sizes) -> None:
         core = library().core
         assert core is not None
-        self.room, self._solve = room, core.core_solve
+        self.room, self._solve, self._read = room, core.core_solve, core.core_read
         m, k, r, e = room.joints, room.level_rows, room.rows, room.equalities
         values = tolerances_of(core)
         address = core.core_new(m, room.levels, k, r, e, values.ctypes.data)
@@ -92,15 +92,18 @@ class Workspace:
         self.metric_root, self.reference = _reals(next(at), m), _reals(next(at), m)
         self.settings = _reals(next(at), 2)
         self.ends = _integers(next(at), levels)
-        self.soft, self.guess = _flags(next(at), levels), _flags(next(at), every)
+        self.soft, self._guess = _flags(next(at), levels), _flags(next(at), every).data
         self.dtheta = _reals(next(at), m)
         self.figures = _reals(next(at), FIGURES * (levels + 1) + 2 + levels)
         self.multipliers = _reals(next(at), (levels + 1) * every)
         self.lists = _integers(next(at), COUNTS + 2 * every + k + r + 2 * (levels + 1) * every)
+        self._kept = _flags(next(at), every).data
+        self.packed = _reals(next(at), m * (k + r + e + 3) + 2 * k + r + e)
         self._names: tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, int], ...]] | None = None
         self.names: tuple[str, ...] = ()  # of upper bounds, lower bounds, rows and soft levels' rows, as lists number them
         self.numbers: dict[str, int] = {}
         self._metric: Array | None = None
+        self._held: Array | None = None  # numbers that were read last
 
     def fill(self, problem: IKProblem, sizes: Sizes, rank_tolerance: float) -> None:
         """Write a problem that has room, whose metric is diagonal."""
@@ -128,6 +131,24 @@ class Workspace:
         self.settings[0] = rank_tolerance
         self.settings[1] = problem.noise
 
+    def read(self, numbers: Array, sizes: Sizes) -> bool:
+        """Take the numbers of a problem whose pattern was filled in; whether they are beyond doubt, see packed.hpp."""
+        self.packed[: len(numbers)] = numbers
+        self._held = numbers
+        return bool(self._read(self._address, sizes.levels, sizes.level_rows, sizes.rows, sizes.equalities, LARGEST))
+
+    def guess_rows(self, guess: bytes | bytearray) -> None:
+        """Write which rows a step may rest on, a byte for each of `names`."""
+        self._guess[: len(guess)] = guess
+
+    def kept_rows(self) -> bytes:
+        """Return which rows the step was computed from, a byte for each of `names`: a guess for the next."""
+        return self._kept[: len(self.names)].tobytes()
+
+    def holds(self, numbers: Array) -> bool:
+        """Whether these numbers, which do not change, were the last that were read."""
+        return numbers is self._held
+
     def name(self, problem: IKProblem) -> None:
         """Let `names` and `numbers` be those of a problem."""
         soft = tuple([(level.name, len(level.target)) for level in problem.levels if level.kind == "at_most"])
@@ -136,12 +157,12 @@ class Workspace:
             self._names = found
             self.names, self.numbers = _named(*found)
 
-    def solve(self, sizes: Sizes, question: Question) -> int:
-        """Return the `Ending` of the problem that was written."""
-        ending: int = self._solve(self._address, sizes.levels, sizes.level_rows, sizes.rows, sizes.equalities, question)
-        if ending < 0:
+    def solve(self, sizes: Sizes, question: Question) -> tuple[int, int]:
+        """Return the `Ending` of the problem that was written, and how much of `lists` is."""
+        told: int = self._solve(self._address, sizes.levels, sizes.level_rows, sizes.rows, sizes.equalities, question)
+        if told < 0:
             raise MemoryError("no memory for the compiled core")
-        return ending
+        return told & 0xFF, told >> 8
 
 
 @lru_cache(maxsize=64)  # in a loop links come near and go away again
@@ -179,10 +200,11 @@ def _flags(address: int | None, count: int) -> NDArray[np.uint8]:
 
 
 class _Own(threading.local):
-    """Each thread's workspaces, by number of joints."""
+    """Each thread's workspaces: by number of joints, and those of problems that live, by their layout."""
 
     def __init__(self) -> None:
         self.by_joints: dict[int, Workspace] = {}
+        self.by_layout: weakref.WeakKeyDictionary[Layout, tuple[Workspace, Sizes]] = weakref.WeakKeyDictionary()
 
 
 _OWN = _Own()
@@ -193,4 +215,15 @@ def workspace_for(sizes: Sizes) -> Workspace:
     found = _OWN.by_joints.get(sizes.joints)
     if found is None or not sizes.fits(found.room):
         found = _OWN.by_joints[sizes.joints] = Workspace(sizes.roomy(None if found is None else found.room))
+    return found
+
+
+def workspace_of(layout: Layout) -> tuple[Workspace, Sizes]:
+    """Return this thread's workspace for problems of a layout, their pattern filled in, and their sizes."""
+    found = _OWN.by_layout.get(layout)
+    if found is None:
+        sizes = Sizes.of(layout.pattern)
+        found = _OWN.by_layout[layout] = Workspace(sizes.roomy(None)), sizes
+        found[0].fill(layout.pattern, sizes, 0.0)
+        found[0].name(layout.pattern)
     return found

@@ -39,10 +39,11 @@ class Written : public Certified {
 
         for (int j = 0; j < m_; j++) io.dtheta[j] = u_[j] / io.metric_root[j];
         int32_t *counts = io.lists.data(), *list = counts + COUNTS;
-        for (int i = 0; i < t; i++) *list++ = ids[i];
+        std::fill(io.kept.begin(), io.kept.end(), LOOSE);
+        for (int i = 0; i < t; i++) *list++ = ids[i], io.kept[ids[i]] = TIGHT_ROW;
         counts[ACTIVE] = t;
         for (int i = hard_; i < all_; i++)
-            if (exceeded_[i]) *list++ = i, counts[EXCEEDED]++;
+            if (exceeded_[i]) *list++ = i, counts[EXCEEDED]++, io.kept[i] = NOT_KEPT;
         for (int i = 0; i < hard_; i++) {
             const int joint = i < m_ ? i : i - m_;
             const bool frozen = i < 2 * m_ && frozen_ && io.lower[joint] == io.upper[joint];
@@ -57,6 +58,7 @@ class Written : public Certified {
                     *list++ = ids[i];
                     io.multipliers[counts[HOLDING]++] = value;
                 }
+        io.used = int(list - counts);
         for (int l = 0; l < levels; l++) {
             const Block& block = levels_[l];
             double cost = 0.0;

@@ -1,0 +1,133 @@
+"""A problem whose numbers stand in one array: what a `LiveProblem` hands out, and what the compiled core reads as it is."""
+
+from collections.abc import Sequence
+from itertools import accumulate, pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from prioritized_ik.late import Late
+from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows, trusted
+from prioritized_ik.validation import Array
+
+
+class Parts(NamedTuple):
+    """What one array of numbers holds, in its order; the levels one after the other."""
+
+    matrix: Array
+    target: Array
+    weights: Array
+    lower: Array
+    upper: Array
+    reference: Array
+    row_matrix: Array
+    row_upper: Array
+    equality_matrix: Array
+    equality_target: Array
+
+    @staticmethod
+    def of(problem: IKProblem) -> "Parts":
+        """Return the numbers of a problem."""
+        m, levels, bounds = problem.joint_count, problem.levels, problem.bounds
+        rows, fixed = problem.rows, problem.equalities
+        return Parts(
+            np.concatenate([np.zeros((0, m)), *(level.matrix for level in levels)]),
+            np.concatenate([np.zeros(0), *(level.target for level in levels)]),
+            np.concatenate([np.zeros(0), *(level.weights for level in levels)]),
+            bounds.lower, bounds.upper, problem.reference,
+            rows.matrix, rows.upper, fixed.matrix, fixed.target,
+        )  # fmt: skip
+
+
+class Layout:
+    """What problems of one kind have in common, and where their numbers stand in one array.
+
+    Attributes:
+        pattern: a problem with that shape, and with its names, kinds of levels, damping, metric and noise.
+        levels: the rows of each level.
+    """
+
+    def __init__(self, pattern: IKProblem) -> None:
+        self.pattern = pattern
+        self.levels = _in_succession([len(level.target) for level in pattern.levels])
+        self._shapes = [part.shape for part in Parts.of(pattern)]
+        self._places = _in_succession([part.size for part in Parts.of(pattern)])
+
+    def packed(self) -> Array:
+        """Return the numbers of the pattern in one array."""
+        return np.concatenate([part.ravel() for part in Parts.of(self.pattern)])
+
+    def parts(self, numbers: Array) -> Parts:
+        """Return views of an array of numbers."""
+        places = zip(self._places, self._shapes, strict=True)
+        return Parts(*(numbers[place].reshape(shape) for place, shape in places))
+
+
+def _in_succession(counts: Sequence[int]) -> list[slice]:
+    """Return the places of so many entries each, one after the other."""
+    return [slice(start, end) for start, end in pairwise(accumulate(counts, initial=0))]
+
+
+class PackedProblem(IKProblem):
+    """A problem as `Layout` packs it; its parts are made when looked at.
+
+    Attributes:
+        layout: see there.
+        numbers: all of them, not to be written.
+    """
+
+    levels: Any = Late()
+    bounds: Any = Late()
+    rows: Any = Late()
+    reference: Any = Late()
+    equalities: Any = Late()
+    metric: Any = Late()
+    noise: Any = Late()
+    layout: Layout
+    numbers: Array
+
+    def __init__(self, layout: Layout, numbers: Array) -> None:
+        numbers.flags.writeable = False
+        self.__dict__.update(layout=layout, numbers=numbers)
+
+    @property
+    def pattern(self) -> IKProblem:
+        """See `IKProblem.pattern`."""
+        return self.layout.pattern
+
+    def late_fields(self) -> dict[str, Any]:
+        """Return the fields that are made late."""
+        pattern, parts = self.layout.pattern, self.layout.parts(self.numbers)
+        levels = [
+            trusted(
+                Level,
+                matrix=parts.matrix[rows],
+                target=parts.target[rows],
+                weights=parts.weights[rows],
+                name=level.name,
+                kind=level.kind,
+                damping=level.damping,
+                below=level.below,
+            )
+            for level, rows in zip(pattern.levels, self.layout.levels, strict=True)
+        ]
+        equal = trusted(
+            Equalities, matrix=parts.equality_matrix, target=parts.equality_target, names=pattern.equalities.names
+        )
+        return {
+            "levels": tuple(levels),
+            "bounds": trusted(Bounds, lower=parts.lower, upper=parts.upper, names=pattern.bounds.names),
+            "rows": trusted(Rows, matrix=parts.row_matrix, upper=parts.row_upper, names=pattern.rows.names),
+            "reference": parts.reference,
+            "equalities": equal,
+            "metric": pattern.metric,
+            "noise": pattern.noise,
+        }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how to make the same problem elsewhere, without what it was packed by."""
+        return _unpacked, (self.late_fields(),)
+
+
+def _unpacked(fields: dict[str, Any]) -> IKProblem:
+    return trusted(IKProblem, **fields)

@@ -1,0 +1,60 @@
+// Problems whose numbers stand in one array, rows without padding: packed.py says in which order.
+#pragma once
+
+#include "exchange.hpp"
+
+namespace prioritized_ik {
+
+inline bool all_within(const double* a, size_t n, double largest) {
+    bool within = true;
+    for (size_t i = 0; i < n; i++) within &= abs(a[i]) <= largest;
+    return within;
+}
+
+// Copies the numbers of a problem to where the solve reads them; what does not change (kinds and ends of levels, damping,
+// metric) stands there already. Whether IKProblem would take all of it without a closer look: false leaves that to its checks.
+inline bool read_packed(Exchange& io, const Sizes& now, int stride, double largest) {
+    const size_t m = now.joints;
+    const double* from = io.packed.data();
+    bool sound = true;
+    const auto next = [&](double* to, size_t n) {
+        copy(from, to, n);
+        from += n;
+    };
+    const auto finite = [&](double* to, size_t n) {
+        sound &= all_within(from, n, largest);
+        next(to, n);
+    };
+    const auto upper = [&](double* to, size_t n) {  // sides that may be infinite
+        for (size_t i = 0; i < n; i++) sound &= from[i] >= -largest && (from[i] <= largest || from[i] == INFINITE);
+        next(to, n);
+    };
+    const auto rows = [&](double* to, size_t n, bool may_be_zero) {
+        for (size_t i = 0; i < n; i++) {
+            bool is_zero = true;
+            for (size_t j = 0; j < m; j++) is_zero &= from[j] == 0.0;
+            sound &= may_be_zero || !is_zero;
+            finite(to + i * stride, m);
+        }
+    };
+    rows(io.matrix.data(), now.level_rows, true);
+    for (int l = 0, first = 0; l < now.levels; first = io.ends[l++])
+        if (const size_t n = io.ends[l] - first; io.soft[l]) upper(io.target.data() + first, n);
+        else finite(io.target.data() + first, n);
+    for (int i = 0; i < now.level_rows; i++) sound &= from[i] >= 0.0;
+    finite(io.weights.data(), now.level_rows);
+    const double *low = from, *high = from + m;
+    for (size_t j = 0; j < m; j++)
+        sound &= low[j] <= high[j] && low[j] <= largest && high[j] >= -largest && (low[j] >= -largest || low[j] == -INFINITE) &&
+                 (high[j] <= largest || high[j] == INFINITE);
+    next(io.lower.data(), m);
+    next(io.upper.data(), m);
+    finite(io.reference.data(), m);
+    rows(io.row_matrix.data(), now.rows, false);
+    upper(io.row_upper.data(), now.rows);
+    rows(io.equality_matrix.data(), now.equalities, false);
+    finite(io.equality_target.data(), now.equalities);
+    return sound;
+}
+
+}  // namespace prioritized_ik
