@@ -1,12 +1,15 @@
 """A live problem is the problem that one would make anew from the same numbers, to the last bit."""
 
+import pickle
+
 import numpy as np
 import pytest
 from winding_fixtures import recorded
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.live import LiveProblem
-from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.packed import Parts
+from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows, replaced
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.registry import get_method
@@ -139,3 +142,21 @@ def test_zero_rows_that_every_step_keeps_are_accepted():
 def test_it_is_made_of_a_problem():
     with pytest.raises(InputError, match="expected an IKProblem with the shapes to keep"):
         LiveProblem([Level(np.eye(2), np.ones(2))])
+
+
+def test_what_is_frozen_goes_to_another_process_as_a_plain_problem():
+    live = LiveProblem(fresh(numbers(0)))
+    written(live, numbers(1))
+    frozen = live.frozen()
+    sent = pickle.loads(pickle.dumps(frozen))
+    assert type(sent) is IKProblem
+    assert_same(sent, fresh(numbers(1)))
+    assert_same(frozen, fresh(numbers(1)))
+    assert type(replaced(frozen, noise=1e-6)) is IKProblem
+
+
+def assert_same(one: IKProblem, other: IKProblem) -> None:
+    for part, same in zip(Parts.of(one), Parts.of(other), strict=True):
+        assert part.tobytes() == same.tobytes()
+    assert [level.name for level in one.levels] == [level.name for level in other.levels]
+    assert (one.metric == other.metric).all()
