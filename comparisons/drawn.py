@@ -1,4 +1,4 @@
-"""Tables as the commands print them and as Markdown, drawn by Rich. Those of the paper are `paper_repro.table`."""
+"""Tables as the commands print them and as Markdown, drawn by Rich. Those of the paper are `paper_repro.make.table`."""
 
 import io
 from collections.abc import Collection, Sequence

@@ -12,8 +12,8 @@ from prioritized_ik.cli import DISAGREES, made_folder, writable_file
 from prioritized_ik.extras import require_extra
 
 if TYPE_CHECKING:
-    from paper_repro.artefact import Scale
-    from paper_repro.jobs import Progress
+    from paper_repro.make.artefact import Scale
+    from paper_repro.make.jobs import Progress
 
 
 @click.group(invoke_without_command=True)
@@ -33,7 +33,7 @@ def paper(context: click.Context, out: str, names: str, quick: bool, workers: in
     What is done is kept: an interrupted run goes on where it was.
     """
     require_extra("report")
-    from paper_repro.artefact import FULL, QUICK
+    from paper_repro.make.artefact import FULL, QUICK
     from prioritized_ik.validation import at_least
 
     scale = QUICK if quick else FULL
@@ -41,9 +41,9 @@ def paper(context: click.Context, out: str, names: str, quick: bool, workers: in
     context.obj = (scale, Path(out), processes)
     if context.invoked_subcommand is not None:
         return
-    from paper_repro.build import build
-    from paper_repro.catalogue import chosen
-    from paper_repro.readme import fill, marked
+    from paper_repro.make.build import build
+    from paper_repro.make.catalogue import chosen
+    from paper_repro.make.readme import fill, marked
 
     artefacts = chosen(tuple(name.strip() for name in names.split(",") if name.strip()))
     for page in readme:
@@ -69,9 +69,9 @@ def check(given: "tuple[Scale, Path, int]") -> None:
     from rich.table import Table
 
     from comparisons.command import FILE_WIDTH
-    from paper_repro import facts
-    from paper_repro.build import ANSWERS
-    from paper_repro.jobs import run
+    from paper_repro.artefacts import facts
+    from paper_repro.make.build import ANSWERS
+    from paper_repro.make.jobs import run
 
     scale, folder, processes = given
     with _bar() as progress:

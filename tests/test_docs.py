@@ -10,10 +10,10 @@ from urllib.parse import unquote, urlparse
 
 import playwright.sync_api as playwright
 import pytest
+from repository import ROOT
 
 import prioritized_ik
 
-ROOT = Path(__file__).parents[1]
 WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
 
 

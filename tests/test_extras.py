@@ -4,13 +4,11 @@ import subprocess
 import sys
 import tomllib
 from importlib.util import find_spec
-from pathlib import Path
 
 import pytest
+from repository import ROOT
 
 from prioritized_ik.extras import EXTRAS
-
-ROOT = Path(__file__).parents[1]
 
 #: Import names of what extras bring; none of them may be needed by the core.
 OPTIONAL = (

@@ -3,12 +3,9 @@
 import importlib
 import inspect
 import re
-from pathlib import Path
 
 import pytest
-
-PAGE = Path(__file__).parents[1] / "docs" / "notation.md"
-LINE = re.compile(r"^\| ([\d, ]+) \|.*?\| `([\w.]+)` \| (.*?) ?\|$")
+from notation import PAGE, lines
 
 
 def resolve(path: str) -> object:
@@ -33,11 +30,6 @@ def cites(text: str, equation: int) -> bool:
         if equation in numbers or any(int(a) <= equation <= int(b) for a, b in spans):
             return True
     return False
-
-
-def lines() -> list[tuple[list[int], str]]:
-    found = [LINE.match(line) for line in PAGE.read_text(encoding="utf-8").splitlines()]
-    return [([int(n) for n in match[1].split(",")], match[2]) for match in found if match]
 
 
 @pytest.mark.parametrize(("equations", "path"), lines(), ids=lambda value: str(value))

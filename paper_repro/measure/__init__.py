@@ -1,0 +1,1 @@
+"""What is measured for the artefacts: jobs with JSON answers, and what the paper says computed another way."""
