@@ -128,7 +128,7 @@ def solve(
 
 @main.command()
 @click.option("--scene", type=click.Path(path_type=Path), help="Your own robot and object (.xml, .urdf), see docs.")
-@click.option("--object", "wound", default="object", help="Geom of --scene to wind around.")
+@click.option("--object", "wound", default="object", help="Geom of --scene to wind around, or its body; by name or number.")
 @click.option("--tip", help="Last body of the chain of --scene that winds.  [default: the model's last]")
 @click.option("--keyframe", help="Keyframe of --scene to start from.")
 @click.option("--direction", default="up", help="Where the object comes from: up, down, front or back.")
@@ -218,7 +218,8 @@ def wind(
         "options": SolveOptions(rank_tolerance=RANK_TOLERANCE),
     }
     if scene is not None:
-        _wind_own_robot(scene, keyframe, {"tip": tip, "wound": wound, **control}, save, record, view)
+        parts = {"tip": _name_or_number(tip), "wound": _name_or_number(wound)}
+        _wind_own_robot(scene, keyframe, {**parts, **control}, save, record, view)
         return
     settings = WindingSettings(
         arm=Arm(links=links),
@@ -266,6 +267,11 @@ def _refuse(names: tuple[str, ...], why: str) -> None:
     if given:
         option = "object" if given[0] == "wound" else given[0]
         raise InputError(f"--{option} {why}.")
+
+
+def _name_or_number(part: str | None) -> str | int | None:
+    """Return a number for what is one: many parts of real models have no name."""
+    return int(part) if part is not None and part.isdigit() else part
 
 
 def _wind_own_robot(

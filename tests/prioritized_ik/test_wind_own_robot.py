@@ -146,10 +146,61 @@ def test_a_solver_that_fails_leaves_the_robot_where_it_is(monkeypatch: pytest.Mo
     assert pik.measure_robot(found).steps == 1
 
 
+def urdf(folder: Path, link: str) -> Path:
+    """The snake as a URDF, its links of one kind of shape; joints that turn about two axes have a link between them."""
+    each = np.random.default_rng(4).uniform(0.05, 0.075, 13)
+    height = each[:TOUCHED].sum() + 0.5 * each[TOUCHED]
+    pole = '<link name="pole"><collision><geometry><cylinder radius="0.08" length="1.2"/></geometry></collision></link>'
+    text, before, away = [joint("pole", "base", "fixed", f'xyz="0.093 0 {height}" rpy="{np.pi / 2} 0 0"')], "base", 0.0
+    for number, length in enumerate(each):
+        shape = f'<origin xyz="0 0 {length / 2}"/><geometry>{link.format(length=length)}</geometry>'
+        text.append(f'<link name="half {number}"/><link name="link {number}"><collision>{shape}</collision></link>')
+        text.append(joint(f"half {number}", before, "revolute", f'xyz="0 0 {away}"', "0 1 0"))
+        text.append(joint(f"link {number}", f"half {number}", "revolute", 'xyz="0 0 0"', "1 0 0"))
+        before, away = f"link {number}", length
+    file = folder / "snake.urdf"
+    file.write_text(f'<robot name="snake"><link name="base"/>{pole}{"".join(text)}</robot>', encoding="utf-8")
+    return file
+
+
+def joint(child: str, parent: str, kind: str, origin: str, axis: str = "0 0 1") -> str:
+    turn = f'<axis xyz="{axis}"/><limit lower="{-np.pi / 3}" upper="{np.pi / 3}" effort="1" velocity="1"/>'
+    ends = f'<parent link="{parent}"/><child link="{child}"/><origin {origin}/>'
+    return f'<joint name="to {child}" type="{kind}">{ends}{turn}</joint>'
+
+
+def test_a_urdf_winds_as_the_same_robot_in_mjcf_its_cylinders_rounded_off(tmp_path: Path) -> None:
+    robot = pik.Robot(urdf(tmp_path, '<cylinder radius="0.012" length="{length}"/>'))
+    capsules = int((robot.model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).sum())
+    found = wound(robot.model, max_steps=60)
+    assert capsules == int((robot.model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).sum()) == 0  # ours stays as it is
+    assert found.q == pytest.approx(wound(snake(POLE), max_steps=60).q, abs=1e-6)
+    assert np.abs(found.q[-1]).max() > 0.1
+
+
+def test_a_urdf_of_boxes_is_told_what_its_links_need(tmp_path: Path) -> None:
+    file = urdf(tmp_path, '<box size="0.02 0.02 {length}"/>')
+    result = call("--scene", file, "--object", "pole")
+    assert result.exit_code == 2
+    assert "0 bodies from the base to 'link 12' have a capsule; expected two links" in result.output
+    assert "In a URDF that is a <cylinder>" in result.output
+
+
+def test_the_command_line_takes_parts_by_number_and_an_object_by_its_body(tmp_path: Path) -> None:
+    file = urdf(tmp_path, '<cylinder radius="0.012" length="{length}"/>')
+    number = pik.Robot(file).body("link 12")
+    by_body, by_number = (call("--scene", file, "--object", which, "--tip", number, "--steps", 5) for which in ("pole", 0))
+    assert by_body.output == by_number.output
+    assert "steps        5" in by_body.output
+
+
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no such object": ({"wound": "pol"}, "no geom 'pol'; the model has 27 geoms: pole, "),
     "no such tip": ({"tip": "tail"}, "no body 'tail'"),
-    "one link": ({"tip": 1}, "1 bodies from the base to 1 have a capsule geom; expected two links"),
+    "one link": (
+        {"tip": 1},
+        "1 bodies from the base to 'body 1' have a capsule; expected two links",
+    ),
     "bent away": (
         {"q": np.append([-0.9, 0.0], np.zeros(24))},
         "no link touches 'pole' at the start: the nearest, link 1, is",

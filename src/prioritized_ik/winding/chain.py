@@ -1,5 +1,6 @@
 """What winds: a chain of links that feel an object, on a robot."""
 
+import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +15,7 @@ from prioritized_ik.touch import TouchSensor
 from prioritized_ik.validation import Array
 from prioritized_ik.virtual_arms import EndPoint, VirtualArms
 
-_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_CAPSULE, _CYLINDER = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,17 +57,19 @@ class Chain:
         Args:
             robot: where it starts; it tells the ends of the capsules apart.
             tip: the last body.
-            wound: the object's geom.
+            wound: the object's geom, or a body that has no other.
             reach: how far links feel it [m].
 
         Raises:
             InputError: a body or geom that does not exist.
             ModelError: fewer than two links.
         """
-        geoms = _capsules_to(robot, robot.body(tip))
+        geoms = _longest_to(robot.model, robot.body(tip), _CAPSULE)
         if len(geoms) < 2:
+            last = robot.names("body")[robot.body(tip)]
             raise ModelError(
-                f"{len(geoms)} bodies from the base to {tip!r} have a capsule geom; expected two links or more that have."
+                f"{len(geoms)} bodies from the base to {last!r} have a capsule; expected two links or more. Give each one, "
+                "or a cylinder, beside its meshes and boxes: winding feels nothing else. In a URDF that is a <cylinder>."
             )
         model, axes = robot.model, _towards_tip(robot, geoms)
         halves = model.geom_size[geoms, 1]
@@ -76,7 +79,7 @@ class Chain:
         along = np.zeros((len(geoms), 3))
         for row, geom, side in zip(along, geoms, axes, strict=True):
             mujoco.mju_rotVecQuat(row, np.array([0.0, 0.0, side]), model.geom_quat[geom])
-        sensor = TouchSensor(model, geoms, robot.geom(wound), reach=reach)
+        sensor = TouchSensor(model, geoms, _object_of(robot, wound), reach=reach)
         return Chain(robot, VirtualArms(model, ends), sensor, model.geom_bodyid[geoms].astype(int), along, 2.0 * halves)
 
     @property
@@ -103,12 +106,37 @@ class Chain:
         return there
 
 
-def _capsules_to(robot: Robot, tip: int) -> list[int]:
-    """Return the longest capsule of each body from the base to `tip` that has one."""
-    model, found, body = robot.model, [], tip
+def with_capsules(model: mujoco.MjModel, tip: int) -> mujoco.MjModel:
+    """Return a model whose links to the body `tip` have capsules: a copy, if cylinders were to be rounded off for it.
+
+    URDF knows no capsules. A capsule as long and thick as a cylinder holds it, and longer by a radius at each end.
+    """
+    cylinders = _longest_to(model, tip, _CYLINDER) if len(_longest_to(model, tip, _CAPSULE)) < 2 else []
+    if not cylinders:
+        return model
+    rounded = copy.copy(model)
+    for geom in cylinders:
+        radius, half, _ = rounded.geom_size[geom]
+        rounded.geom_type[geom], rounded.geom_rbound[geom] = _CAPSULE, radius + half
+        rounded.geom_aabb[geom, 3:] = radius, radius, radius + half
+    return rounded
+
+
+def _object_of(robot: Robot, wound: str | int) -> int:
+    """Return the number of a geom, by its name or number, or by the name of a body that has no other."""
+    if isinstance(wound, str) and wound not in robot.names("geom") and wound in robot.names("body"):
+        body = robot.body(wound)
+        if robot.model.body_geomnum[body] == 1:
+            return int(robot.model.body_geomadr[body])
+    return robot.geom(wound)
+
+
+def _longest_to(model: mujoco.MjModel, tip: int, kind: int) -> list[int]:
+    """Return the longest geom of a `kind` of each body from the base to `tip` that has one."""
+    found, body = [], tip
     while body:
         first, count = model.body_geomadr[body], model.body_geomnum[body]
-        capsules = [geom for geom in range(first, first + count) if model.geom_type[geom] == _CAPSULE]
+        capsules = [geom for geom in range(first, first + count) if model.geom_type[geom] == kind]
         if capsules and model.body_weldid[body]:  # what is welded to the world is no link
             found.append(max(capsules, key=lambda geom: float(model.geom_size[geom, 1])))
         body = int(model.body_parentid[body])

@@ -16,7 +16,7 @@ from prioritized_ik.solvers.methods import Method
 from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.touch import OBJECT
 from prioritized_ik.validation import Array, read_only
-from prioritized_ik.winding.chain import Chain
+from prioritized_ik.winding.chain import Chain, with_capsules
 from prioritized_ik.winding.controller import ChainController
 from prioritized_ik.winding.loop import Outcome, moments
 from prioritized_ik.winding.metrics import ROUND_SHAPES, WindingMetrics, bends, drift, ideal_angle, sign_flips, turns_about
@@ -31,13 +31,14 @@ class RobotWinding(Control):
     """Settings of a winding with one's own robot: `Control`, and the chain and object themselves.
 
     The links are those bodies on the way from the base to the tip that have a capsule, of whatever lengths; the object is
-    any convex geom. At the start a link touches it.
+    any convex geom. At the start a link touches it. Where the links have cylinders instead, as those of a URDF, they are
+    rounded off to capsules in a copy of the model.
 
     Attributes:
         model: robot and object.
         q: where it starts `(nq,)`.
         tip: the last body of the chain, by name or number; the last of the model unless given.
-        wound: the object's geom, by name or number.
+        wound: the object's geom, by name or number, or the name of a body that has no other.
 
     Raises:
         InputError: see `Control`; a body or geom that does not exist, a position of another length, or no link touches.
@@ -51,6 +52,7 @@ class RobotWinding(Control):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        object.__setattr__(self, "model", with_capsules(self.model, self._tip(Robot(self.model))))
         chain = self.chain()
         object.__setattr__(self, "q", read_only(chain.robot.q))
         distance = chain.sensor.read(chain.robot.data).distance
@@ -65,7 +67,10 @@ class RobotWinding(Control):
     def chain(self) -> Chain:
         """Return the chain that winds, at the start."""
         robot = Robot(self.model, self.q)
-        return Chain.of_robot(robot, self.model.nbody - 1 if self.tip is None else self.tip, self.wound, self.reach)
+        return Chain.of_robot(robot, self._tip(robot), self.wound, self.reach)
+
+    def _tip(self, robot: Robot) -> int:
+        return int(self.model.nbody) - 1 if self.tip is None else robot.body(self.tip)
 
 
 @dataclass(frozen=True, eq=False)
