@@ -22,7 +22,7 @@ LAYERS = [
     {"virtual_arms"},
     {"touch", "problem", "weights"},
     {"tree_problem"},
-    {"limits", "packed", "problem_file"},
+    {"limits", "packed", "problem_file", "model_file"},
     {"recording"},
     {"robot"},
     {"tasks", "guard", "examples"},

@@ -4,14 +4,14 @@ import fnmatch
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from prioritized_ik.errors import InputError, ModelError
+from prioritized_ik.errors import InputError
 from prioritized_ik.limits import joint_metric
+from prioritized_ik.model_file import model_of
 from prioritized_ik.validation import Array, distinct, finite_array, nearest_first, non_negative, read_only, shape_of
 
 #: Kinds of parts that are found by name or number.
@@ -26,15 +26,6 @@ PLURALS = {"joint": "joints", "body": "bodies", "site": "sites", "geom": "geoms"
 _COUNTS = {"joint": "njnt", "body": "nbody", "site": "nsite", "geom": "ngeom", "keyframe": "nkey"}
 PARTS = ("joint", "body", "site", "geom")  # kinds that are mixed up with each other
 LISTED = 20  # names of a kind in a message; robots have hundreds
-#: How a URDF is read: fixed links, such as a tool's, stay bodies to be named; links without mass get next to none; paths
-#: are relative to the file. Its visual shapes are kept where it has no others: many are in formats that MuJoCo cannot read.
-URDF = {
-    "fusestatic": "false",
-    "boundmass": "1e-6",
-    "boundinertia": "1e-9",
-    "balanceinertia": "true",
-    "strippath": "false",
-}
 LISTED_OTHERS = 6  # names of each other kind
 
 
@@ -60,12 +51,12 @@ class Robot:
 
     Raises:
         InputError: something else than a model or a path, or a position of another length.
-        ModelError: no such file, one that MuJoCo cannot read, or a URDF with `package://` paths.
+        ModelError: no such file, one that MuJoCo cannot read, or a URDF with xacro or `package://` paths.
     """
 
     def __init__(self, model: mujoco.MjModel | str | Path, q: ArrayLike | None = None) -> None:
         if isinstance(model, str | Path):
-            model = _model_of(Path(model))
+            model = model_of(Path(model))
         if not isinstance(model, mujoco.MjModel):
             raise InputError(f"model is of type {type(model).__name__}; expected a mujoco.MjModel or the path of a file.")
         self.model = model
@@ -259,45 +250,3 @@ class Robot:
         if not given:
             return f"no {kind}"
         return f"{len(given)} {PLURALS[kind] if len(given) > 1 else kind}: {', '.join(parts)}"
-
-
-def _model_of(file: Path) -> mujoco.MjModel:
-    """Return the model of an MJCF or URDF file.
-
-    Raises:
-        ModelError: no such file, one that MuJoCo cannot read, or a URDF with `package://` paths.
-    """
-    if not file.is_file():
-        raise ModelError(f"there is no file {str(file)!r}; expected an MJCF (.xml) or URDF (.urdf) file.")
-    try:
-        if file.suffix != ".urdf":
-            return mujoco.MjModel.from_xml_path(str(file))
-        spec = mujoco.MjSpec.from_string(_urdf(file))
-        spec.modelfiledir = str(file.parent)
-        return spec.compile()
-    except (ValueError, ElementTree.ParseError) as error:
-        raise ModelError(f"MuJoCo cannot read {file.name}: {error}") from error
-
-
-def _urdf(file: Path) -> str:
-    """Return a URDF with what MuJoCo is to make of it, unless its own `<mujoco><compiler>` says otherwise.
-
-    Raises:
-        ModelError: it has `package://` paths.
-    """
-    text = file.read_text(encoding="utf-8")
-    if "package://" in text:
-        raise ModelError(
-            f"{file.name} has package:// paths, which only ROS can resolve; replace them by paths relative to the file."
-        )
-    root = ElementTree.fromstring(text)
-    extension = root.find("mujoco")
-    if extension is None:
-        extension = ElementTree.Element("mujoco")
-        root.insert(0, extension)
-    compiler = extension.find("compiler")
-    if compiler is None:
-        compiler = ElementTree.SubElement(extension, "compiler")
-    for name, value in (URDF | {"discardvisual": str("<collision" in text).lower()}).items():
-        compiler.attrib.setdefault(name, value)
-    return ElementTree.tostring(root, encoding="unicode")

@@ -93,8 +93,30 @@ def test_one_frame_is_asked_for_at_a_time(robot):
 def test_a_urdf_of_package_paths_is_refused(tmp_path):
     file = tmp_path / "robot.urdf"
     file.write_text('<robot name="r"><link name="a"><visual><mesh filename="package://x/a.stl"/></visual></link></robot>')
-    with pytest.raises(InputError, match="package:// paths"):
+    with pytest.raises(InputError, match=r"^robot\.urdf has package:// paths"):
         Robot(file)
+
+
+@pytest.mark.parametrize("name", ["robot.urdf", "robot.xml", "robot.urdf.xacro"])
+def test_a_urdf_of_xacro_is_told_to_be_expanded_whatever_it_is_called(tmp_path, name):
+    file = tmp_path / name
+    file.write_text('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="l"/><link name="a"/></robot>')
+    with pytest.raises(InputError, match=f"^{name} has xacro in it; expand it first: xacro {name} > robot.urdf"):
+        Robot(file)
+
+
+def test_a_urdf_that_is_called_xml_keeps_its_fixed_links(tmp_path):
+    file = tmp_path / "robot.xml"
+    links = '<link name="a"/><link name="tool0"/>'
+    fixed = '<joint name="f" type="fixed"><parent link="a"/><child link="tool0"/></joint>'
+    file.write_text(f'<robot name="r">{links}{fixed}</robot>')
+    assert Robot(file).names("body") == ["world", "a", "tool0"]
+
+
+def test_mjcf_that_is_no_strict_xml_loads_as_mujoco_reads_it(tmp_path):
+    file = tmp_path / "robot.xml"
+    file.write_text('<!-- -- a rule -- --><mujoco><worldbody><body name="b"><geom size="1"/></body></worldbody></mujoco>')
+    assert Robot(file).names("body") == ["world", "b"]
 
 
 def test_a_urdf_loads(tmp_path):
