@@ -103,14 +103,19 @@ class KinematicTree:
 
     def torques(self, moments: Array, forces: Array) -> Array:
         """Return joint torques `(m,)` of moments about the world's origin and forces `(m, 3)` on what each carries."""
-        carried = np.concatenate([moments, forces], axis=1)
+        carried = self.beyond(np.concatenate([moments, forces], axis=1))
+        return np.einsum("ij,ij->i", carried[:, :3], self.angular) + np.einsum(
+            "ij,ij->i", carried[:, 3:], self.linear_at_origin
+        )
+
+    def beyond(self, values: Array) -> Array:
+        """Return the sums `(m, k)` of `values` `(m, k)` over what each joint carries."""
+        carried = values.copy()
         for first, end, before in reversed(self.runs):
             carried[first:end] = np.cumsum(carried[first:end][::-1], axis=0)[::-1]
             if before != BASE:
                 carried[before] += carried[first]
-        return np.einsum("ij,ij->i", carried[:, :3], self.angular) + np.einsum(
-            "ij,ij->i", carried[:, 3:], self.linear_at_origin
-        )
+        return carried
 
     def moving(self, joints: Numbers) -> NDArray[np.bool_]:
         """Return which joints move what each of `joints` `(k,)` carries, as a mask `(k, m)`."""
@@ -208,6 +213,23 @@ class PointRows:
             sums[:, k] = np.bincount(joints, wrench[:, k], minlength=m)
         return self.tree.torques(sums[:, :3], sums[:, 3:])
 
+    def sizes_of_terms(self, dtheta: Array) -> Array:
+        """Return how large the terms are whose sum `times` is `(r,)`, for their rounding."""
+        angular, linear = self.tree.twists(dtheta)
+        sizes = np.einsum("ij,ij->i", np.abs(self.directions), np.abs(linear[self.joints]))
+        sizes += np.einsum("ij,ij->i", np.abs(self.moments), np.abs(angular[self.joints]))
+        sizes[self.joints == BASE] = 0.0
+        return sizes
+
+    def sizes_of_torques(self, values: Array) -> Array:
+        """Return how large the terms are whose sum `transposed_times` of values of such sizes is `(m,)`, about."""
+        m, moved = self.tree.joint_count, self.joints != BASE
+        joints, sums = self.joints[moved], np.zeros((m, 2))
+        for k, part in enumerate((self.moments, self.directions)):
+            sums[:, k] = np.bincount(joints, length_of(part[moved]) * np.abs(values[moved]), minlength=m)
+        carried = self.tree.beyond(sums)
+        return carried[:, 0] * length_of(self.tree.angular) + carried[:, 1] * length_of(self.tree.linear_at_origin)
+
     @cached_property
     def matrix(self) -> Array:
         """J `(r, m)`, made when asked for."""
@@ -218,6 +240,11 @@ class PointRows:
         matrix = np.einsum("rk,rjk->rj", self.directions, turned + tree.linear[None])
         matrix[~tree.moving(joints)[where]] = 0.0
         return read_only(matrix)
+
+
+def length_of(rows: Array) -> Array:
+    """Return the length of each row `(k,)`; `validation.lengths` guards against overflow, which takes longer."""
+    return np.sqrt(np.einsum("ij,ij->i", rows, rows))
 
 
 def _crossed(a: Array, b: Array) -> Array:

@@ -28,8 +28,9 @@ from prioritized_ik.solvers.stages import FoldState, Stage, level_stage, referen
 from prioritized_ik.solvers.stagewise import stagewise
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.solvers.subspaces import directions_left
+from prioritized_ik.solvers.tree.step import KINEMATICS, is_worthwhile, tree_step
 from prioritized_ik.tolerances import ACCEPTED_VIOLATION, FREE, NARROW, SETTLED_FOR_SOLVERS, TIGHT, WEAK
-from prioritized_ik.validation import Array, fraction, non_negative, tolerance_above_rounding
+from prioritized_ik.validation import Array, fraction, non_negative, one_of, tolerance_above_rounding
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,9 @@ class SolveOptions:
         closed_form_first: whether a closed-form step that meets every row is the answer.
         polish: whether the solver's answer is made exact; its certificate is computed in any case.
         soften: names of hard bounds and rows that become the most important level instead, one of soft inequalities.
+        kinematics: how a problem is solved whose levels and rows are of points on a kinematic tree: `"tree"`, joint by
+            joint, in time that grows with the joints; `"dense"`, by its matrices; `"auto"`, by whichever is faster as a
+            rule. What the tree's form does not know, or not clearly, goes by matrices; `JointStep.path` says which it was.
     """
 
     accuracy: float = ACCURACY
@@ -52,6 +56,7 @@ class SolveOptions:
     closed_form_first: bool = True
     polish: bool = True
     soften: tuple[str, ...] = ()
+    kinematics: str = "auto"
 
     def __post_init__(self) -> None:
         if self.damping is not None:
@@ -59,6 +64,7 @@ class SolveOptions:
         if non_negative("rank_tolerance", self.rank_tolerance):
             tolerance_above_rounding("rank_tolerance", self.rank_tolerance)
         fraction("accuracy", self.accuracy)
+        one_of("kinematics", self.kinematics, KINEMATICS)
         object.__setattr__(self, "soften", tuple(self.soften))
 
 
@@ -144,6 +150,10 @@ def _damped_step(problem: IKProblem, start: Start, options: SolveOptions) -> Joi
 
 def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions, method: str = "") -> JointStep:
     """Return the outcome of one solve of a problem whose damping, if any, is rows."""
+    if options.polish and is_worthwhile(problem, options.kinematics):
+        along_links = _tree_step(problem, start, options, method)
+        if along_links is not None:
+            return along_links
     compiled = options.polish and fast.answers(problem)
     if compiled and (quick := _compiled_step(problem, start, options, method)) is not None:
         return quick
@@ -176,6 +186,23 @@ def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions, meth
         timings=Timings(timings.build, spent.solve, spent.build - timings.build),
         calls=clock.calls,
     )
+
+
+def _tree_step(problem: IKProblem, start: Start, options: SolveOptions, method: str) -> JointStep | None:
+    """Return the step that the kinematic tree's form finds, or None: from the last rows, or the closed form if it is it."""
+    if not isinstance(start, RowMemory):
+        if not options.closed_form_first:
+            return None
+        found = tree_step(problem, options.rank_tolerance, question=Question.CLOSED_FORM_ONLY, method=method)
+        return found if found is None else found[0]
+    question = Question.STEP if options.closed_form_first else Question.FROM_GUESS_ONLY
+    found = tree_step(problem, options.rank_tolerance, start.last, question, method)
+    if found is None:
+        return None
+    step, rows = found
+    if step.status is not StepStatus.CLOSED_FORM:
+        start.remember(rows)
+    return step
 
 
 def _compiled_step(problem: IKProblem, start: Start, options: SolveOptions, method: str) -> JointStep | None:

@@ -60,7 +60,7 @@ class JointStep:
         zeros: names of rows that were taken for zero, because they are rounding.
         method: name of the method that made it.
         active_rows: names of the bounds and rows that the step was computed from; none where it is the closed form.
-        path: which form of the kernel made it, "compiled" or "python".
+        path: which form of the kernel made it: "compiled" or "python", by matrices, or "tree", joint by joint.
     """
 
     dtheta: Array | None

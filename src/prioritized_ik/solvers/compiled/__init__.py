@@ -7,6 +7,7 @@
     step.hpp       the course of a call, on layers: posed.hpp (the problem in its metric), factored.hpp (one factorisation
                    for all levels), face.hpp (the step where some rows hold), certificate.hpp, written.hpp, active_set.hpp
     dense.hpp      the linear algebra beneath; with singular_values.hpp and nonnegative.hpp
+    tree.hpp       the elimination along a kinematic tree, for tree.py, see solvers/tree
     winding.hpp    a winding controller's look and the numbers of its problem, for winding/compiled.py
 
 The core answers where every decision is clear: ranks on both sides of their cuts, rows that are tight or are not, a

@@ -7,6 +7,7 @@
 
 #include "packed.hpp"
 #include "step.hpp"
+#include "tree.hpp"
 #include "winding.hpp"
 
 #ifndef PRIORITIZED_IK_SOURCE
@@ -93,3 +94,43 @@ EXPORTED int core_scene_size() { return int(sizeof(prioritized_ik::Scene)); }
 // `Look::Answer`, or the number of contact rows.
 EXPORTED int core_scene_observe(const prioritized_ik::Scene* scene) { return prioritized_ik::Look(*scene).observe(); }
 EXPORTED int core_scene_pose(const prioritized_ik::Scene* scene) { return prioritized_ik::Look(*scene).pose(); }
+
+// ---- Kinematic trees, for compiled/tree.py. Every function but these two returns -1 if memory runs out.
+
+EXPORTED void* core_tree_new() { return new (std::nothrow) prioritized_ik::TreeElimination(); }
+EXPORTED void core_tree_delete(prioritized_ik::TreeElimination* tree) { delete tree; }
+EXPORTED int core_tree_input_size() { return int(sizeof(prioritized_ik::TreeInput)); }
+
+// A `TreeElimination::Ending`.
+EXPORTED int core_tree_factor(prioritized_ik::TreeElimination* tree, const prioritized_ik::TreeInput* input) {
+    try {
+        return tree->factor(*input);
+    } catch (const std::bad_alloc&) {
+        return -1;
+    }
+}
+
+// What the held rows leave.
+EXPORTED double core_tree_solve(prioritized_ik::TreeElimination* tree, const double* values, const double* sides,
+                                const double* reference, double* u) {
+    try {
+        return tree->solve(values, sides, reference, u);
+    } catch (const std::bad_alloc&) {
+        return -1.0;
+    }
+}
+
+enum TreeQuestion { REDUCED, MULTIPLIERS, DISPLACEMENT };  // of compiled/tree.py
+
+EXPORTED int core_tree_ask(prioritized_ik::TreeElimination* tree, int question, int level, const double* given, double* out) {
+    try {
+        if (question == REDUCED) tree->reduced(level, given, out);
+        else if (question == MULTIPLIERS) tree->multipliers(level, given, out);
+        else tree->displacement(level, given, out);
+        return 0;
+    } catch (const std::bad_alloc&) {
+        return -1;
+    }
+}
+
+EXPORTED double core_tree_memory(const prioritized_ik::TreeElimination* tree) { return double(tree->memory()); }

@@ -114,6 +114,14 @@ def _loaded(path: Path, expected: str) -> tuple[ctypes.CDLL | None, str]:
     core.core_solve.argtypes = [ctypes.c_void_p] + [ctypes.c_int] * 5
     for look in (core.core_scene_observe, core.core_scene_pose):
         look.argtypes = [ctypes.c_void_p]
+    core.core_tree_new.restype = ctypes.c_void_p
+    core.core_tree_delete.argtypes = [ctypes.c_void_p]
+    core.core_tree_delete.restype = None
+    core.core_tree_factor.argtypes = [ctypes.c_void_p] * 2
+    core.core_tree_solve.argtypes = [ctypes.c_void_p] * 5
+    core.core_tree_ask.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
+    core.core_tree_memory.argtypes = [ctypes.c_void_p]
+    core.core_tree_solve.restype = core.core_tree_memory.restype = ctypes.c_double
     return core, path.name
 
 

@@ -155,7 +155,7 @@ class Workspace:
         found = problem.bounds.names, problem.rows.names, soft
         if found != self._names:
             self._names = found
-            self.names, self.numbers = _named(*found)
+            self.names, self.numbers = numbered_names(*found)
 
     def solve(self, sizes: Sizes, question: Question) -> tuple[int, int]:
         """Return the `Ending` of the problem that was written, and how much of `lists` is."""
@@ -166,7 +166,7 @@ class Workspace:
 
 
 @lru_cache(maxsize=64)  # in a loop links come near and go away again
-def _named(
+def numbered_names(
     joints: tuple[str, ...], rows: tuple[str, ...], soft: tuple[tuple[str, int], ...]
 ) -> tuple[tuple[str, ...], dict[str, int]]:
     """Return names of upper bounds, lower bounds, rows and soft levels' rows, and the number of each."""

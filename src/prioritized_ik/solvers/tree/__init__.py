@@ -1,0 +1,24 @@
+"""Problems on a kinematic tree, solved and proven joint by joint: as long as there are joints, not as their cube.
+
+    posed.py         a problem's levels and rows of points, in its joint metric
+    elimination.py   the strict levels of one face, from the tips to the base and back; the form to read, and what the
+                     compiled one is held to (`compiled/tree.hpp`)
+    certificate.py   the proof of a step, from products with J and Jᵀ
+    active_set.py    from a guess of the active rows to those of the optimum
+    step.py          from a problem to its step, or to None where the dense form is to answer
+
+What is answered, and what is left to the dense form:
+
+| feature | along the tree |
+|---|---|
+| `equal` levels of points (`TreeLevel`), weights, any number | yes |
+| bounds, frozen joints, inequality rows of points (`TreeRows`) | yes |
+| reference, diagonal metric | yes |
+| hinges, slides, balls, free bases; branches | yes |
+| start from the last step's rows | yes |
+| levels or rows of a matrix among them, damping, soft inequalities, equalities | no |
+| a metric that couples joints, `noise` above the default | no |
+| a rank tolerance | no |
+| what a level feels of a joint neither clearly zero nor clearly not | no |
+| rows in conflict, or a certificate without margin | no |
+"""

@@ -1,0 +1,214 @@
+"""From a guess of the active bounds and rows to the lexicographic optimum on a kinematic tree.
+
+Faces are factored in O(joints), so that sets may change in blocks: what a face's step breaks most becomes active, what
+pulls is let go, until nothing changes. Where that would return to a set, or comes to rows that no step keeps, the search
+starts again from zero with the ratio test, row by row, as in `solvers/active_set.py`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
+from prioritized_ik.solvers.tree.elimination import Ending, Factors
+from prioritized_ik.solvers.tree.posed import PosedOnTree
+from prioritized_ik.tolerances import CERTIFIED, FLOOR, FREE, KEPT
+from prioritized_ik.validation import Array, length
+
+SHARE = 0.3  # [of the worst violation] what is broken by less is left for later
+BLOCKS = 200  # sets that change in blocks
+SINGLES = 3  # [of joints and rows] sets after that which change by one row
+LONG = 1e-3  # [of what levels ask for, by their strength]: steps this long are not short for what levels ask for
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """An optimum with its proof.
+
+    Attributes:
+        u: `(m,)`, in the joint metric.
+        proof: of it.
+        active: what it rests on.
+        corrections: how often the set was corrected.
+    """
+
+    u: Array
+    proof: TreeProof
+    active: ActiveSet
+    corrections: int
+
+
+class Search:
+    """The search for one problem's optimum; None where anything is not clear.
+
+    Args:
+        posed: the problem.
+        factors: of its faces.
+    """
+
+    def __init__(self, posed: PosedOnTree, factors: Factors) -> None:
+        self.posed, self._factors = posed, factors
+        self._frozen = posed.lower == posed.upper
+        self._closed_form_length: float | None = None
+
+    def nothing(self) -> ActiveSet:
+        """Return the set of no row but frozen joints."""
+        side = np.where(self._frozen, 1, 0).astype(np.int8)
+        return ActiveSet(side, np.zeros(len(self.posed.problem.rows.upper), dtype=bool))
+
+    def face(self, active: ActiveSet) -> Array | None:
+        """Return the step u `(m,)` where the `active` bounds and rows hold as equalities; None if that is not clear."""
+        posed, factors = self.posed, self._factors
+        if not self._factor(active):
+            return None
+        fixed = active.side != 0
+        values = np.where(active.side > 0, posed.upper, np.where(active.side < 0, posed.lower, 0.0))
+        sides = posed.sides
+        if not active.held.all():
+            sides = sides.copy()
+            sides[posed.parts[0]][~active.held] = 0.0
+        u, missed = factors.solve(values, sides, posed.reference)
+        if not np.isfinite(u).all() or missed > CERTIFIED * max(length(u), 1e-300) * posed.unit:
+            return None
+        # Once more, for what the first time leaves.
+        more, _ = factors.solve(np.zeros(len(u)), posed.missing(u), posed.reference - u)
+        u = u + more
+        u[fixed] = values[fixed]
+        return u
+
+    def _factor(self, active: ActiveSet) -> bool:
+        held = np.zeros(len(self.posed.level), dtype=bool)
+        held[self.posed.parts[0]] = active.held
+        return self._factors.factor(active.side != 0, held) is Ending.CLEAR
+
+    def closed_form(self) -> tuple[Found | None, Array | None]:
+        """Return the closed form if it breaks no row, with its proof; and the step in any case."""
+        active = self.nothing()
+        u = self.face(active)
+        if u is None:
+            return None, None
+        self._closed_form_length = length(u)
+        scale = self._scale(u, active)
+        if self._worst(u) < -FREE * scale:
+            return None, u
+        proof = TreeProof(self.posed, self._factors, u, active, scale)
+        return (Found(u, proof, active, 0) if proof.holds_with_margin else None), u
+
+    def optimum(self, active: ActiveSet) -> Found | None:
+        """Return the optimum that the search from `active` comes to."""
+        visited: set[bytes] = set()
+        share = SHARE
+        for corrections in range(BLOCKS):
+            visited.add(active.key)
+            u = self.face(active)
+            if u is None:  # so many rows that no step keeps them all
+                return self._one_by_one(corrections)
+            scale = self._scale(u, active)
+            broken = self._broken(u, active, KEPT * scale)
+            proof = TreeProof(self.posed, self._factors, u, active, scale)
+            last = proof.levels[-1]
+            if not broken.count and not last.pulls:
+                return Found(u, proof, active, corrections) if proof.holds_with_margin else None
+            if last.pulls:
+                following = ActiveSet(
+                    np.where(last.wrong_bounds, 0, active.side).astype(np.int8), active.held & ~last.wrong_rows
+                )
+            else:
+                following = self._with_worst(u, active, broken, share)
+            if following.key in visited:
+                share = 1.0
+                following = self._with_worst(u, active, broken, share) if broken.count else following
+                if following.key in visited:
+                    return self._one_by_one(corrections + 1)
+            active = following
+        return self._one_by_one(BLOCKS)
+
+    def _with_worst(self, u: Array, active: ActiveSet, broken: ActiveSet, share: float) -> ActiveSet:
+        """Return `active` and those of the `broken` bounds and rows that are broken by a `share` of the worst at least."""
+        posed = self.posed
+        over = np.where(broken.side > 0, u - posed.upper, np.where(broken.side < 0, posed.lower - u, 0.0))
+        short = np.where(broken.held, -posed.slack(u), 0.0)
+        least = share * max(float(over.max(initial=0.0)), float(short.max(initial=0.0)))
+        chosen = (broken.side != 0) & (over >= least)
+        return ActiveSet(
+            np.where(chosen, broken.side, active.side).astype(np.int8), active.held | (broken.held & (short >= least))
+        )
+
+    def _one_by_one(self, corrections: int) -> Found | None:
+        """Return the optimum by the ratio test, from zero, which must be feasible."""
+        posed = self.posed
+        u = np.where(self._frozen, posed.lower, 0.0)
+        if self._worst(u) < 0.0:
+            return None
+        active = self.nothing()
+        ended_on: set[bytes] = set()  # sets whose step was reached: each is better than those before
+        for more in range(SINGLES * (len(u) + len(active.held))):
+            target = self.face(active)
+            if target is None:
+                return None
+            scale = self._scale(target, active)
+            broken = self._broken(target, active, KEPT * scale)
+            if broken.count:
+                u, active = self._towards(u, target, active, broken)
+                continue
+            u = target
+            proof = TreeProof(posed, self._factors, u, active, scale)
+            if not proof.levels[-1].pulls:
+                return Found(u, proof, active, corrections + more) if proof.holds_with_margin else None
+            if active.key in ended_on:
+                return None
+            ended_on.add(active.key)
+            active = _without_worst(proof, active)
+        return None
+
+    def _towards(self, u: Array, target: Array, active: ActiveSet, broken: ActiveSet) -> tuple[Array, ActiveSet]:
+        """Return how far towards `target` the blocking rows let go, and the set with those that block first."""
+        posed, move = self.posed, target - u
+        up, down = broken.side > 0, broken.side < 0
+        reach = np.full(len(u), np.inf)
+        reach[up] = np.maximum(posed.upper[up] - u[up], 0.0) / move[up]
+        reach[down] = np.maximum(u[down] - posed.lower[down], 0.0) / -move[down]
+        here, there = posed.slack(u), posed.slack(target)
+        along = np.full(len(here), np.inf)
+        along[broken.held] = np.maximum(here[broken.held], 0.0) / np.maximum(here - there, 1e-300)[broken.held]
+        first = min(float(reach.min(initial=np.inf)), float(along.min(initial=np.inf)))
+        return u + first * move, ActiveSet(
+            np.where(reach <= first, broken.side, active.side).astype(np.int8), active.held | (along <= first)
+        )
+
+    def _broken(self, u: Array, active: ActiveSet, kept: float) -> ActiveSet:
+        """Return the bounds and rows, not active yet, that a step breaks by more than `kept`."""
+        posed = self.posed
+        free = active.side == 0
+        side = np.where(free & (u > posed.upper + kept), 1, np.where(free & (u < posed.lower - kept), -1, 0))
+        return ActiveSet(side.astype(np.int8), ~active.held & (posed.slack(u) < -kept))
+
+    def _worst(self, u: Array) -> float:
+        posed = self.posed
+        room = min(float((posed.upper - u).min(initial=np.inf)), float((u - posed.lower).min(initial=np.inf)))
+        return min(room, float(posed.slack(u).min(initial=np.inf)))
+
+    def _scale(self, u: Array, active: ActiveSet) -> float:
+        """Return what figures of a step are relative to, see `Hierarchy.scale`; the face of `active` stays factored."""
+        size = length(u)
+        if self._closed_form_length is None:
+            numbers = range(1, len(self.posed.parts))
+            wanted, strength = max(map(self.posed.demand, numbers)), max(map(self.posed.strength, numbers))
+            if size * strength > LONG * wanted:
+                return size
+            free = self.face(self.nothing())
+            self._closed_form_length = 0.0 if free is None else length(free)
+            self._factor(active)
+        return max(size, FLOOR * self._closed_form_length) or 1.0
+
+
+def _without_worst(proof: TreeProof, active: ActiveSet) -> ActiveSet:
+    """Return the set without the row that pulls most."""
+    last = proof.levels[-1]
+    side, held = active.side.copy(), active.held.copy()
+    bounds, rows = np.where(last.wrong_bounds, last.bounds, 0.0), np.where(last.wrong_rows, last.rows, 0.0)
+    if bounds.min(initial=0.0) <= rows.min(initial=0.0):
+        side[bounds.argmin()] = 0
+    else:
+        held[rows.argmin()] = False
+    return ActiveSet(side, held)

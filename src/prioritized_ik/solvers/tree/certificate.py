@@ -1,0 +1,241 @@
+"""Proof that a step on a kinematic tree is the lexicographic optimum: the bound of `solvers/certificate.py`, in O(joints).
+
+Multipliers come from the elimination, but what they leave of each level's gradient is worked out anew from the points and
+axes as they are given, with products by J and Jᵀ alone: a multiplier that is wrong leaves a rest, wherever it came from.
+Only how far the rest could still lower a level's cost, R⁻ᵀ of it, is counted in the elimination's coordinates.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prioritized_ik.solvers.certificate import FAR, Certificate
+from prioritized_ik.solvers.tree.elimination import HELD, Factors
+from prioritized_ik.solvers.tree.posed import PosedOnTree
+from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAST_DEMAND, MARGIN, ROUNDING, UNDECIDED, UNFELT
+from prioritized_ik.validation import Array, length
+
+ROUNDED = 4.0 * EPS  # [of a sum's terms, added up by size], that of a thousand terms included
+CLEARLY = 8.0  # [of rounding, which is counted generously]: a multiplier above this holds its row for the levels below
+
+
+@dataclass(frozen=True, eq=False)
+class ActiveSet:
+    """Which bounds and inequality rows a step rests on.
+
+    Attributes:
+        side: of each joint `(m,)`: 1 at its upper bound, -1 at its lower one, 0 if free.
+        held: which inequality rows are tight `(c,)`.
+    """
+
+    side: NDArray[np.int8]
+    held: NDArray[np.bool_]
+
+    @property
+    def key(self) -> bytes:
+        """What tells it from others."""
+        return self.side.tobytes() + self.held.tobytes()
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return int(np.count_nonzero(self.side)) + int(np.count_nonzero(self.held))
+
+
+@dataclass(frozen=True, eq=False)
+class TreeLevelProof:
+    """One level's optimality; figures as in `solvers.certificate.LevelProof`.
+
+    Attributes:
+        gap, demand, excess, rounding, carried: see there.
+        bounds: multipliers of the active bounds `(m,)`.
+        rows: those of the held inequality rows `(c,)`.
+        wrong_bounds, wrong_rows: which of them pull, and so should not be active.
+    """
+
+    gap: float
+    demand: float
+    excess: float
+    rounding: float
+    carried: float
+    bounds: Array
+    rows: Array
+    wrong_bounds: NDArray[np.bool_]
+    wrong_rows: NDArray[np.bool_]
+
+    @property
+    def relative_gap(self) -> float:
+        """The gap relative to the demand, squared."""
+        return self.gap / self.demand**2 if self.gap and self.demand else 0.0
+
+    @property
+    def pulls(self) -> bool:
+        """Whether an active bound or row holds the level the wrong way round."""
+        return bool(self.wrong_bounds.any() or self.wrong_rows.any())
+
+
+class TreeProof:
+    """The proofs of all levels at a step `u` `(m,)` that rests on `active`, by factors of that face.
+
+    Attributes:
+        scale: length that relative figures refer to.
+        levels: one proof a level, the last level's last; they end with the first that pulls.
+    """
+
+    def __init__(self, posed: PosedOnTree, factors: Factors, u: Array, active: ActiveSet, scale: float) -> None:
+        self._posed, self._factors, self._u, self._active, self.scale = posed, factors, u, active, scale
+        m, c = len(u), len(active.held)
+        self._frozen = posed.lower == posed.upper
+        self._leak_of_bounds, self._leak_of_rows = np.full(m, np.inf), np.full(c, np.inf)
+        self._slack = posed.slack(u)
+        self._above = 0.0  # how far rounding can have moved the step at the levels so far
+        self._off = 0.0  # by how much it is off at these, in what they decide
+        self._missing = posed.missing(u)
+        self.levels = list(self._prove())
+
+    def _prove(self) -> Iterator[TreeLevelProof]:
+        last = len(self._posed.parts)
+        for number in range(1, last + 1):
+            proof = self._level(number, is_last=number == last)
+            yield proof
+            if proof.pulls:
+                return
+
+    def _gradient(self, number: int, *, is_last: bool) -> Array:
+        posed = self._posed
+        if is_last:
+            return self._u - posed.reference
+        part = posed.parts[number]
+        return -posed.rows[part].transposed_times(posed.roots[part] * self._missing[part])
+
+    def _level(self, number: int, *, is_last: bool) -> TreeLevelProof:
+        posed, factors, u, active = self._posed, self._factors, self._u, self._active
+        gradient = self._gradient(number, is_last=is_last)
+        pulls = factors.multipliers(number, factors.reduced(number, gradient))
+        balance = posed.rows.transposed_times(pulls * posed.roots)
+        rest = gradient + balance
+        bounds = np.where((active.side == 0) | self._frozen, 0.0, -rest * active.side)
+        rest[active.side != 0] = 0.0
+        rows = np.where(active.held, pulls[posed.parts[0]], 0.0)
+        left = factors.reduced(number, rest)
+        decided = np.where(~factors.fixed & (factors.owner == number), left, 0.0)
+        moved = factors.displacement(number, decided)
+
+        if is_last:
+            demand = length(u) + length(posed.reference)
+            strength, cost, terms, inverse = 1.0, length(gradient), demand, np.sqrt(len(u))
+        else:
+            part = posed.parts[number]
+            strength, cost = posed.strength(number), length(self._missing[part])
+            terms = posed.demand(number) + strength * length(u)
+            demand = max(posed.demand(number), cost, LEAST_DEMAND * terms)
+            inverse = self._inverse_length(number)
+        noise = self._noise(number, pulls, is_last=is_last)
+        # Along what a level does not feel its gradient is nothing but rounding: more is a rank gone wrong. So is what its
+        # multipliers leave along joints that levels above decide: more is a multiplier gone wrong.
+        astray = np.where(factors.owner < number, rest, left)
+        astray[factors.fixed | (factors.owner == number)] = 0.0
+        unfelt = length(np.maximum(np.abs(astray) - CLEARLY * noise, 0.0))
+        steepest = float(np.abs(factors.pivot[~factors.fixed & (factors.owner == number)]).max(initial=0.0))
+        excess = length(moved)
+        if unfelt:  # how far it goes if it is as flat as `UNFELT` allows
+            excess += unfelt / (UNFELT * (steepest or strength)) ** 2
+        explained = max(ROUNDING * terms * inverse, EPS * strength * inverse**2 * cost * (not is_last))
+        gap = float(decided @ decided) + 2.0 * unfelt * self.scale
+        gap += self._slackness(bounds, rows)
+        held_bounds, held_rows = np.isfinite(self._leak_of_bounds), np.isfinite(self._leak_of_rows)
+        wrong_bounds = (bounds < -noise) & ~held_bounds
+        holders = ~factors.fixed & (factors.owner == HELD)  # joints that the held rows decide
+        noise_of_rows = float((noise[holders] / np.abs(factors.pivot[holders])).max(initial=0.0))
+        wrong_rows = (rows < -noise_of_rows) & ~held_rows
+        first_bounds = (bounds > CLEARLY * noise) & ~held_bounds
+        first_rows = (rows > CLEARLY * noise_of_rows) & ~held_rows
+        self._leak_of_bounds[first_bounds] = gap / bounds[first_bounds]
+        self._leak_of_rows[first_rows] = gap / rows[first_rows]
+        loosened = float(np.abs(self._slack[first_rows]).sum()) if not is_last else 0.0
+        follows = strength * inverse
+        off = self._off * (1.0 + (0.0 if is_last else follows))
+        above = max(self._above, off)
+        carried = 2.0 * strength * cost * above + (strength * above) ** 2
+        self._above = max(self._above, explained, loosened)
+        self._off = off + (excess if excess > CERTIFIED * MARGIN * self.scale else 0.0)
+        return TreeLevelProof(
+            gap, demand, excess, max(explained, loosened, self._off), carried, bounds, rows, wrong_bounds, wrong_rows
+        )
+
+    def _noise(self, number: int, pulls: Array, *, is_last: bool) -> Array:
+        """Return how much of a level's balanced gradient along each joint `(m,)` may be rounding."""
+        posed, sizes = self._posed, np.abs(pulls) * self._posed.roots
+        if not is_last:
+            part = posed.parts[number]
+            sizes[part] += posed.roots[part] * (np.abs(self._missing[part]) + self._terms[part])
+        noise = ROUNDED * posed.rows.sizes_of_torques(sizes)
+        return noise + ROUNDED * (np.abs(self._u) + np.abs(posed.reference)) if is_last else noise
+
+    @cached_property
+    def _terms(self) -> Array:
+        """How large the terms are whose differences the rows' residuals are, weighted `(k,)`."""
+        return self._posed.roots * (np.abs(self._posed.sides) + self._posed.rows.sizes_of_terms(self._u))
+
+    def _slackness(self, bounds: Array, rows: Array) -> float:
+        """Return 2 Σ |λ| slack; of rows that a level above holds, times how far they can move."""
+        room = np.abs(self._slack)
+        room[~self._active.held | (room <= ROUNDING * self.scale)] = 0.0  # a row is tight to rounding
+        slack = room * self._posed.lengths[self._posed.parts[0]]
+        leak_of_rows = np.minimum(self._leak_of_rows, FAR)
+        back_rows, back_bounds = (rows < 0.0) & (leak_of_rows < FAR), (bounds < 0.0) & np.isfinite(self._leak_of_bounds)
+        at_bounds = np.where(back_bounds, np.minimum(self._leak_of_bounds, FAR), 0.0)  # bounds are kept to the last bit
+        return 2.0 * float(np.abs(rows) @ np.where(back_rows, leak_of_rows, slack) + np.abs(bounds) @ at_bounds)
+
+    def _inverse_length(self, number: int) -> float:
+        """Return about ‖R⁻¹‖, in the sense of Frobenius, of a level: what random signs make of it."""
+        decides = ~self._factors.fixed & (self._factors.owner == number)
+        signs = np.where(np.arange(len(decides)) * 7919 % 13 < 6, 1.0, -1.0)
+        return length(self._factors.displacement(number, np.where(decides, signs, 0.0)))
+
+    @cached_property
+    def violation(self) -> float:
+        """Worst violation of a bound or row, as a distance."""
+        posed, u = self._posed, self._u
+        over = max(float((u - posed.upper).max(initial=0.0)), float((posed.lower - u).max(initial=0.0)))
+        return max(over, float(-self._slack.min(initial=0.0)))
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """The figures."""
+        names = self._row_names
+        return Certificate(
+            self.violation / self.scale,
+            tuple(level.gap + level.carried for level in self.levels),
+            tuple(level.relative_gap for level in self.levels),
+            tuple(level.excess / self.scale for level in self.levels),
+            tuple(level.rounding / self.scale for level in self.levels),
+            tuple(names(level) for level in self.levels),
+        )
+
+    def _row_names(self, level: TreeLevelProof) -> tuple[str, ...]:
+        problem, side = self._posed.problem, self._active.side
+        joints = problem.bounds.names
+        holding = np.flatnonzero(level.bounds > 0.0)
+        bounds = [f"{joints[j]} {'upper' if side[j] > 0 else 'lower'}" for j in holding]
+        return (*bounds, *(problem.rows.names[i] for i in np.flatnonzero(level.rows > 0.0)))
+
+    @property
+    def holds_with_margin(self) -> bool:
+        """Whether the certificate holds with room to spare, as the compiled core asks of its own."""
+        certificate = self.certificate
+        return (
+            len(self.levels) == len(self._posed.parts)
+            and not self.levels[-1].pulls
+            and certificate.worst <= MARGIN * CERTIFIED
+            and max(certificate.relative_gaps[:-1], default=0.0) <= MARGIN * GAP
+            and certificate.variation <= MARGIN * UNDECIDED
+        )
+
+    @property
+    def is_held(self) -> bool:
+        """Whether a bound or row carries a multiplier at some level."""
+        return any(bool((level.bounds > 0.0).any() or (level.rows > 0.0).any()) for level in self.levels)

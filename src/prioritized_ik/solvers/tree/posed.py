@@ -1,0 +1,139 @@
+"""A problem on a kinematic tree in its joint metric, as the rows that an elimination takes."""
+
+from functools import cached_property
+
+import numpy as np
+
+from prioritized_ik.kinematic_tree import BASE, PointRows
+from prioritized_ik.problem import IKProblem
+from prioritized_ik.solvers.tree.elimination import TreeRowsOnJoints
+from prioritized_ik.tolerances import NOISE
+from prioritized_ik.tree_problem import TreeLevel, TreeRows, tree_of
+from prioritized_ik.validation import Array, length
+
+CLEAR_ROW = 1e-5  # [of the longest row]: lengths are differences of squares, right to half of the digits
+
+
+def is_on_tree(problem: IKProblem) -> bool:
+    """Whether the elimination takes problems of this kind: rows of points, a diagonal metric, no equality rows."""
+    pattern = problem.pattern
+    return (
+        pattern.noise == NOISE
+        and pattern.metric.ndim == 1
+        and not len(pattern.equalities.target)
+        and bool(pattern.levels)
+        and tree_of(pattern) is not None
+    )
+
+
+class PosedOnTree:
+    """A problem that `is_on_tree`, in its joint metric: u = √M dθ.
+
+    Its rows are those of motions of points, the inequality rows first, then level by level; `k` counts all of them, `c` the
+    inequality rows.
+
+    Attributes:
+        problem: as it was given.
+        tree: of joints in the metric.
+        lower, upper, reference: in the metric `(m,)`.
+        rows: all rows' motions `(k,)`.
+        level: of each row `(k,)`, 0 for inequality rows.
+        targets: right-hand sides `(k,)`.
+        parts: places of each level's rows, those of the inequality rows first.
+    """
+
+    def __init__(self, problem: IKProblem) -> None:
+        tree = tree_of(problem)
+        assert tree is not None
+        root = problem.metric_root
+        plain = bool((root == 1.0).all())
+        self.problem, self.tree = problem, tree if plain else tree.scaled(1.0 / root)
+        bounds = problem.bounds
+        self.lower, self.upper = (bounds.lower, bounds.upper) if plain else (bounds.lower * root, bounds.upper * root)
+        self.reference = problem.reference if plain else problem.reference * root
+        levels = [level for level in problem.levels if isinstance(level, TreeLevel)]
+        contacts = [problem.rows.points] if isinstance(problem.rows, TreeRows) else []
+        parts = [*contacts, *(level.points for level in levels)]
+        self.rows = PointRows.trusted(
+            self.tree,
+            np.concatenate([part.joints for part in parts]),
+            np.concatenate([part.points for part in parts]),
+            np.concatenate([part.directions for part in parts]),
+        )
+        counts = [len(problem.rows.upper), *(len(level.target) for level in levels)]
+        self.level = np.repeat(np.arange(len(counts)), counts)
+        self.targets = np.concatenate([problem.rows.upper, *(level.target for level in levels)])
+        self._weights = np.concatenate([np.ones(counts[0]), *(level.weights for level in levels)])
+        self.parts = [slice(end - count, end) for end, count in zip(np.cumsum(counts), counts, strict=True)]
+
+    @cached_property
+    def lengths(self) -> Array:
+        """Length of each row of the matrix `(k,)`, to half of the digits: rows that are none are not told from zero."""
+        tree, rows = self.tree, self.rows
+        motion = np.concatenate([tree.angular, tree.linear_at_origin], axis=1)
+        pairs = (motion[:, :, None] * motion[:, None, :]).reshape(-1, 36)
+        for first, end, before in tree.runs:
+            if before != BASE:
+                pairs[first] += pairs[before]
+            np.cumsum(pairs[first:end], axis=0, out=pairs[first:end])
+        covectors = np.concatenate([rows.moments, rows.directions], axis=1)
+        squares = np.einsum("ri,rij,rj->r", covectors, pairs[rows.joints].reshape(-1, 6, 6), covectors)
+        squares[rows.joints == BASE] = 0.0
+        return np.sqrt(np.maximum(squares, 0.0))
+
+    @cached_property
+    def roots(self) -> Array:
+        """√w of each row `(k,)`, one for inequality rows; zero for those that count for nothing."""
+        return np.where(self.rows.joints == BASE, 0.0, np.sqrt(self._weights))
+
+    @cached_property
+    def unit(self) -> float:
+        """How far points are from the anchors before them, as a rule [m]: in this unit turns and motions count alike."""
+        moved = self.rows.joints != BASE
+        away = np.linalg.norm(self.rows.points[moved] - self.tree.anchors[self.rows.joints[moved]], axis=1)
+        away = away[away > 0.0]
+        return float(np.median(away)) if len(away) else 1.0
+
+    @cached_property
+    def on_joints(self) -> TreeRowsOnJoints:
+        """Rows and tree in that unit of length, for the elimination; weighted, so that each row is still the same."""
+        rows, tree, unit = self.rows, self.tree, self.unit
+        scaled = tree.moved_to(tree.angular, tree.linear / unit, tree.anchors / unit)
+        levers = (rows.points - tree.anchors[rows.joints]) / unit
+        covectors = np.empty((len(rows), 6))
+        covectors[:, :3] = np.cross(levers, rows.directions)
+        covectors[:, 3:] = rows.directions
+        covectors *= (self.roots * unit)[:, None]
+        return TreeRowsOnJoints(scaled, len(self.parts) - 1, np.maximum(rows.joints, 0), self.level, covectors)
+
+    @cached_property
+    def sides(self) -> Array:
+        """Right-hand sides, weighted `(k,)`; of inequality rows that are none, zero."""
+        return np.where(np.isfinite(self.targets), self.targets, 0.0) * self.roots
+
+    def slack(self, u: Array) -> Array:
+        """Return how far `u` `(m,)` is from each inequality row `(c,)`, as a distance."""
+        part = self.parts[0]
+        contacts = self.rows[part]
+        if not len(contacts):
+            return np.zeros(0)
+        return (self.targets[part] - contacts.times(u)) / self.lengths[part]
+
+    @property
+    def has_clear_rows(self) -> bool:
+        """Whether no inequality row is so short beside the others that it may be rounding."""
+        lengths = self.lengths[self.parts[0]]
+        return bool(lengths.min(initial=np.inf) > CLEAR_ROW * self.lengths.max(initial=0.0))
+
+    def missing(self, u: Array) -> Array:
+        """Return what each row lacks at `u`, weighted `(k,)`."""
+        return self.sides - self.roots * self.rows.times(u)
+
+    def demand(self, number: int) -> float:
+        """Return the length of what a level asks for; levels are numbered from 1."""
+        return length(self.sides[self.parts[number]])
+
+    def strength(self, number: int) -> float:
+        """Return ‖W^½ A‖ of a level."""
+        part = self.parts[number]
+        return length(self.roots[part] * self.lengths[part])

@@ -1,0 +1,139 @@
+"""From a problem on a kinematic tree to its joint step in O(joints), or to None where the dense form is to answer."""
+
+from collections.abc import Collection
+from time import perf_counter
+
+import numpy as np
+
+from prioritized_ik.problem import IKProblem
+from prioritized_ik.solvers.compiled.fast import LOOSE, TIGHT, Remembered
+from prioritized_ik.solvers.compiled.library import Question, library
+from prioritized_ik.solvers.compiled.tree import CompiledElimination
+from prioritized_ik.solvers.compiled.workspace import numbered_names
+from prioritized_ik.solvers.report import DeferredReports
+from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
+from prioritized_ik.solvers.tree.active_set import Found, Search
+from prioritized_ik.solvers.tree.certificate import ActiveSet
+from prioritized_ik.solvers.tree.elimination import Elimination, Factors, TreeRowsOnJoints
+from prioritized_ik.solvers.tree.posed import PosedOnTree, is_on_tree
+from prioritized_ik.tolerances import ACCEPTED_VIOLATION
+
+PATH = "tree"
+KINEMATICS = ("auto", "tree", "dense")  # see `SolveOptions.kinematics`
+
+#: Joints from which on the tree's form is faster, see `docs/performance.md`.
+WORTHWHILE = 200
+
+
+def is_worthwhile(problem: IKProblem, kinematics: str) -> bool:
+    """Whether a problem is to be solved joint by joint, if it can be."""
+    if kinematics == "dense" or (kinematics == "auto" and problem.joint_count < WORTHWHILE):
+        return False
+    return is_on_tree(problem)
+
+
+def factors_of(rows: TreeRowsOnJoints) -> Factors:
+    """Return what factors the faces of a problem: the compiled core, where there is one."""
+    return Elimination(rows) if library().core is None else CompiledElimination(rows)
+
+
+def tree_step(
+    problem: IKProblem,
+    rank_tolerance: float,
+    rows: Collection[str] | Remembered = (),
+    question: Question = Question.STEP,
+    method: str = "",
+) -> tuple[JointStep, Remembered] | None:
+    """Return the certified step of a problem and the rows that it rests on; None if the dense form is to answer.
+
+    Args:
+        problem: one that `is_on_tree`.
+        rank_tolerance: see `SolveOptions`.
+        rows: those that the step may rest on, such as the last step's, or their names.
+        question: the step; only a closed form that breaks no row; or no closed form first.
+        method: name of who solves.
+    """
+    started = perf_counter()
+    if rank_tolerance:
+        return None
+    posed = PosedOnTree(problem)
+    if not posed.has_clear_rows:
+        return None
+    names, numbers = numbered_names(problem.bounds.names, problem.rows.names, ())
+    search = Search(posed, factors_of(posed.on_joints))
+    found = _found(search, _guess(search, rows, names, numbers), question)
+    if found is None:
+        return None
+    step = _step(posed, found, rank_tolerance, method, perf_counter() - started)
+    return step, _remembered(found.active, posed, names)
+
+
+def _found(search: Search, guess: ActiveSet, question: Question) -> Found | None:
+    """Return the optimum: from a guess if it is held by a multiplier, else the closed form if it breaks no row."""
+    nothing = search.nothing()
+    guessed = guess.key != nothing.key
+    if guessed and question is Question.STEP:
+        found = search.optimum(guess)
+        if found is not None and found.proof.is_held:
+            return found
+    if question is not Question.FROM_GUESS_ONLY:
+        free, _ = search.closed_form()
+        if free is not None or question is Question.CLOSED_FORM_ONLY:
+            return free
+    return search.optimum(guess if guessed and question is Question.FROM_GUESS_ONLY else nothing)
+
+
+def _guess(
+    search: Search, rows: Collection[str] | Remembered, names: tuple[str, ...], numbers: dict[str, int]
+) -> ActiveSet:
+    """Return which bounds and rows the step may rest on, those that the problem does not have left out."""
+    chosen = np.zeros(len(names), dtype=bool)
+    if isinstance(rows, Remembered) and rows.names is names:
+        chosen[:] = np.frombuffer(rows.kept, dtype=np.uint8) != LOOSE
+    else:
+        known = rows.named() if isinstance(rows, Remembered) else rows
+        chosen[[numbers[name] for name in known if name in numbers]] = True
+    posed, guess, m = search.posed, search.nothing(), search.posed.tree.joint_count
+    free = guess.side == 0
+    upper = chosen[:m] & free & np.isfinite(posed.upper)
+    lower = chosen[m : 2 * m] & free & np.isfinite(posed.lower) & ~upper
+    side = np.where(upper, 1, np.where(lower, -1, guess.side)).astype(np.int8)
+    return ActiveSet(side, chosen[2 * m :] & np.isfinite(posed.targets[posed.parts[0]]))
+
+
+def _remembered(active: ActiveSet, posed: PosedOnTree, names: tuple[str, ...]) -> Remembered:
+    free = posed.lower != posed.upper
+    kept = np.concatenate([(active.side > 0) & free, (active.side < 0) & free, active.held])
+    return Remembered(names, np.where(kept, TIGHT, LOOSE).astype(np.uint8).tobytes())
+
+
+def _step(posed: PosedOnTree, found: Found, rank_tolerance: float, method: str, seconds: float) -> JointStep:
+    problem, proof, active, u = posed.problem, found.proof, found.active, found.u
+    dtheta = problem.from_metric(u)
+    near = ACCEPTED_VIOLATION * proof.scale
+    joints, rows = problem.bounds.names, problem.rows.names
+    tight = (
+        *(f"{joints[j]} upper" for j in np.flatnonzero(posed.upper - u <= near)),
+        *(f"{joints[j]} lower" for j in np.flatnonzero(u - posed.lower <= near)),
+        *(rows[i] for i in np.flatnonzero(posed.slack(u) <= near)),
+    )
+    free = posed.lower != posed.upper
+    resting = (
+        *(f"{joints[j]} upper" for j in np.flatnonzero((active.side > 0) & free)),
+        *(f"{joints[j]} lower" for j in np.flatnonzero((active.side < 0) & free)),
+        *(rows[i] for i in np.flatnonzero(active.held)),
+    )
+    return JointStep(
+        dtheta,
+        StepStatus.SOLVED if proof.is_held else StepStatus.CLOSED_FORM,
+        costs=tuple(level.cost(dtheta) for level in problem.levels),
+        tight_rows=tight,
+        violation=proof.certificate.violation,
+        timings=Timings(seconds, 0.0),
+        certificate=proof.certificate,
+        repairs=found.corrections,
+        levels=DeferredReports(problem, rank_tolerance, dtheta),
+        method=method,
+        active_rows=resting,
+        path=PATH,
+    )

@@ -1,0 +1,268 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from trees import ball_chain, random_problem, random_tree
+
+from prioritized_ik.errors import InputError
+from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.solvers.certificate import certify
+from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.methods import ActiveSet as ActiveSetMethod
+from prioritized_ik.solvers.registry import get_method
+from prioritized_ik.solvers.step import JointStep, StepStatus
+from prioritized_ik.solvers.tree.active_set import Search
+from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
+from prioritized_ik.solvers.tree.posed import PosedOnTree
+from prioritized_ik.solvers.tree.step import PATH, factors_of, tree_step
+
+ALONG_LINKS, BY_MATRICES = SolveOptions(kinematics="tree"), SolveOptions(kinematics="dense")
+
+SAME = 1e-9  # [of the step]
+
+
+def _random(seed: int) -> IKProblem:
+    """A problem of a chain or a tree: levels, weights, reference, metric, bounds and contact rows as the seed has it."""
+    rng = np.random.default_rng(seed)
+    chain = seed % 2
+    links = int(rng.integers(4, 16))
+    tree = ball_chain(rng, links) if chain else random_tree(rng, 3 * links, branching=0.2 * (seed % 4 == 0))
+    return random_problem(
+        rng,
+        tree,
+        1 + seed % 3,
+        contacts=int(rng.integers(0, 5)),
+        bound=10.0 ** rng.uniform(-3, 0) if seed % 3 else np.inf,
+        reference=seed % 4 > 1,
+        metric=seed % 5 == 1,
+        weights=1.0 * (seed % 7 > 2),
+    )
+
+
+def _step(problem: IKProblem, options: SolveOptions) -> JointStep:
+    return get_method("active-set").step(problem, options)
+
+
+@pytest.mark.parametrize("first", range(0, 100, 10))
+def test_steps_along_the_links_are_those_of_matrices(first):
+    told = 0
+    for seed in range(first, first + 10):
+        problem = _random(seed)
+        step, dense = _step(problem, ALONG_LINKS), _step(problem, BY_MATRICES)
+        told += step.path == PATH
+        assert dense.path != PATH
+        assert step.status is dense.status, seed
+        assert set(step.active_rows) == set(dense.active_rows), seed
+        np.testing.assert_allclose(step.dtheta, dense.dtheta, atol=SAME * np.linalg.norm(dense.dtheta), err_msg=str(seed))
+        np.testing.assert_allclose(step.costs, dense.costs, rtol=1e-6, atol=1e-12)
+        assert certify(problem, step.dtheta).holds, seed
+    assert told >= 9  # of ten: the others are declined, and so are the dense form's
+
+
+@pytest.mark.parametrize("links", [34, 68])
+def test_longer_arms_have_the_same_steps_too(links):
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        problem = random_problem(
+            rng, ball_chain(rng, links, bend=0.3), 1 + seed, contacts=links // 10, bound=0.3, size=2e-3, weights=1.0
+        )
+        step, dense = _step(problem, ALONG_LINKS), _step(problem, BY_MATRICES)
+        assert step.path == PATH
+        assert step.status is dense.status
+        np.testing.assert_allclose(step.dtheta, dense.dtheta, atol=SAME * np.linalg.norm(dense.dtheta))
+
+
+def test_the_links_are_gone_along_where_that_is_faster_and_the_step_says_so():
+    rng = np.random.default_rng(0)
+    short, long = (random_problem(rng, ball_chain(rng, links)) for links in (10, 80))
+    assert _step(short, SolveOptions()).path != PATH
+    assert _step(long, SolveOptions()).path == PATH
+    assert not any("matrix" in vars(level) for level in long.levels)
+    assert _step(long, BY_MATRICES).path != PATH
+
+
+def test_a_step_starts_from_the_rows_of_the_last_one():
+    rng = np.random.default_rng(1)
+    problem = random_problem(rng, ball_chain(rng, 20), 2, contacts=3, bound=0.1)
+    method = ActiveSetMethod()
+    first, second = (method.step(problem, ALONG_LINKS) for _ in range(2))
+    assert first.status is second.status is StepStatus.SOLVED
+    assert second.path == PATH
+    assert first.repairs > second.repairs == 0
+    np.testing.assert_allclose(first.dtheta, second.dtheta, atol=1e-12)
+    assert method.step(problem, BY_MATRICES).repairs == 0  # whoever takes it up from there
+
+
+def _declined() -> dict[str, IKProblem]:
+    rng = np.random.default_rng(2)
+    tree = ball_chain(rng, 4)
+    problem, m = random_problem(rng, tree, bound=1.0), tree.joint_count
+    (level,) = problem.levels
+    coupled = np.eye(m) + 0.1 * np.ones((m, m))
+    row = np.ones((1, m))
+    return {
+        "a level of a matrix": problem.with_levels([*problem.levels, Level(row, [0.01])]),
+        "damping": problem.with_levels([Level(level.matrix, level.target, damping=1e-3)]),
+        "soft inequalities": problem.with_levels([*problem.levels, Level(row, [0.0], kind="at_most")]),
+        "rows of a matrix": IKProblem(problem.levels, problem.bounds, Rows(row, [0.01])),
+        "equalities": IKProblem(problem.levels, equalities=Equalities(row, [0.01])),
+        "a metric that couples joints": IKProblem(problem.levels, metric=coupled),
+        "noise": IKProblem(problem.levels, noise=1e-9),
+        "no level": IKProblem([], problem.bounds),
+    }
+
+
+@pytest.mark.parametrize("what", _declined())
+def test_what_the_links_do_not_know_is_solved_by_matrices(what):
+    step = _step(_declined()[what], ALONG_LINKS)
+    assert step.path != PATH
+    assert step.dtheta is not None
+
+
+def test_an_unknown_form_is_refused():
+    with pytest.raises(InputError, match="kinematics"):
+        SolveOptions(kinematics="lifted")
+
+
+def test_frozen_joints_and_infinite_sides_mean_what_they_mean_to_matrices():
+    rng = np.random.default_rng(3)
+    problem = random_problem(rng, ball_chain(rng, 8), 2, contacts=4, bound=0.2)
+    lower, upper = problem.bounds.lower.copy(), problem.bounds.upper.copy()
+    lower[3:6] = upper[3:6] = 0.01
+    upper[10:14] = np.inf
+    changed = IKProblem(problem.levels, Bounds(lower, upper), problem.rows)
+    step, dense = _step(changed, ALONG_LINKS), _step(changed, BY_MATRICES)
+    assert step.path == PATH
+    assert step.status is dense.status
+    np.testing.assert_allclose(step.dtheta, dense.dtheta, atol=SAME * np.linalg.norm(dense.dtheta))
+    np.testing.assert_array_equal(step.dtheta[3:6], 0.01)
+
+
+# ---- The certificate
+
+
+class _Proven:
+    """A step that rests on bounds and rows, and what its proof is made of."""
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(5)
+        self.posed = PosedOnTree(random_problem(rng, ball_chain(rng, 12), 2, contacts=6, bound=0.3, weights=1.0))
+        self.factors = factors_of(self.posed.on_joints)
+        found = Search(self.posed, self.factors).optimum(Search(self.posed, self.factors).nothing())
+        assert found is not None
+        self.u, self.active, self.scale = found.u, found.active, found.proof.scale
+        assert np.count_nonzero(self.active.side) > 2
+        assert self.active.held.any()
+
+    def holds(self, u=None, active=None, posed=None, factors=None) -> bool:
+        """Whether the certificate of something else holds, by factors of its own face unless given."""
+        posed, active = posed or self.posed, active or self.active
+        if factors is None:
+            factors = self.factors
+            held = np.zeros(len(posed.level), dtype=bool)
+            held[posed.parts[0]] = active.held
+            factors.factor(active.side != 0, held)
+        return TreeProof(posed, factors, self.u if u is None else u, active, self.scale).holds_with_margin
+
+
+@pytest.fixture(scope="module")
+def proven() -> _Proven:
+    return _Proven()
+
+
+def test_the_certificate_of_an_optimum_holds(proven):
+    assert proven.holds()
+
+
+@pytest.mark.parametrize("joint", range(0, 34, 3))
+def test_a_step_that_is_off_in_one_joint_by_a_millionth_is_not_proven(proven, joint):
+    u = proven.u.copy()
+    u[joint] += 1e-6 * proven.scale
+    assert not proven.holds(u=u)
+
+
+def test_a_row_that_pulls_is_not_proven(proven):
+    # A joint inside its bounds is taken for active, at a step that is off in it.
+    free = np.flatnonzero(proven.active.side == 0)
+    for joint in free[:5]:
+        found = []
+        for sign in (1, -1):
+            side = proven.active.side.copy()
+            side[joint] = sign
+            found.append(proven.holds(active=ActiveSet(side, proven.active.held), u=_nudged(proven, joint)))
+        assert found == [False, False]
+
+
+def _nudged(proven: _Proven, joint: int) -> np.ndarray:
+    u = proven.u.copy()
+    u[joint] *= 1.01
+    return u
+
+
+def test_a_step_of_too_few_active_rows_is_not_proven(proven):
+    at_bound = np.flatnonzero(proven.active.side)
+    side = proven.active.side.copy()
+    side[at_bound[0]] = 0
+    assert not proven.holds(active=ActiveSet(side, proven.active.held))
+    held = proven.active.held.copy()
+    held[np.flatnonzero(held)[0]] = False
+    assert not proven.holds(active=ActiveSet(proven.active.side, held))
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_another_target_is_not_proven(proven, number):
+    problem = proven.posed.problem
+    levels = list(problem.levels)
+    level = levels[number - 1]
+    levels[number - 1] = type(level)(level.points, level.target + 1e-6, level.weights, level.name)
+    assert not proven.holds(posed=PosedOnTree(problem.with_levels(levels)))
+
+
+def test_a_broken_row_is_not_proven(proven):
+    problem = proven.posed.problem
+    rows = type(problem.rows)(problem.rows.points, problem.rows.upper - 1e-5, problem.rows.names)
+    assert not proven.holds(posed=PosedOnTree(IKProblem(problem.levels, problem.bounds, rows)))
+
+
+class _Lying:
+    """Factors that tell a lie about multipliers."""
+
+    def __init__(self, factors, level: int) -> None:
+        self._factors, self._level = factors, level
+
+    def __getattr__(self, name):
+        return getattr(self._factors, name)
+
+    def multipliers(self, level, reduced):
+        told = self._factors.multipliers(level, reduced)
+        return told * (1.0 + 1e-4 * (level == self._level))
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_multipliers_that_are_not_right_leave_a_rest_that_the_figures_show(proven, level):
+    held = np.zeros(len(proven.posed.level), dtype=bool)
+    held[proven.posed.parts[0]] = proven.active.held
+    proven.factors.factor(proven.active.side != 0, held)
+    honest = TreeProof(proven.posed, proven.factors, proven.u, proven.active, proven.scale)
+    lying = TreeProof(proven.posed, _Lying(proven.factors, level), proven.u, proven.active, proven.scale)
+    assert honest.holds_with_margin
+    assert not lying.holds_with_margin
+    assert lying.levels[level - 1].excess > 1e3 * honest.levels[level - 1].excess
+
+
+def test_the_certificate_names_the_rows_that_hold_a_level():
+    problem = _random(1)
+    step, dense = _step(problem, ALONG_LINKS), _step(problem, BY_MATRICES)
+    assert step.path == PATH
+    assert step.certificate is not None
+    assert dense.certificate is not None
+    assert set(step.certificate.held_by[0]) == set(dense.certificate.held_by[0])
+
+
+def test_a_rank_tolerance_that_may_cut_is_left_to_matrices():
+    problem = _random(1)
+    assert tree_step(problem, 0.5) is None
+
+
+def test_options_travel(proven):
+    assert dataclasses.asdict(ALONG_LINKS)["kinematics"] == "tree"
