@@ -5,7 +5,7 @@ so; `exact.optimum` solves it in rational numbers. The library is given the same
 the rounding of another representation: an arm in a plane that was turned in space, single precision, rows of 1e-17 that
 are zero.
 
-    python tests/campaign.py --count 100 --kinds sliver,wedge --solver daqp --first-seed 0
+    python tests/support/campaign.py --count 100 --kinds sliver,wedge --solver daqp --first-seed 0
 
 With --path one form of the solve answers alone: the Python form, or the compiled core, which declines what is not clear.
 With --feign no solver is asked: the certificate is, about steps that are feasible and wrong.
