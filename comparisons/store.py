@@ -2,6 +2,7 @@
 
     settings.json                   what made it: settings, versions, program
     recorded/<case>.npz             the recorded episode
+    recorded/<case>.mjb             of a scene, its model
     driven/<job>.npz                the episode of a driven winding
     parts/recorded/<case>.parquet   which steps of a recorded episode are replayed
     parts/steps/<job>.parquet       one row a replayed problem
@@ -22,15 +23,17 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import mujoco
 import polars
 
 from comparisons.cases import Case, file_name
 from comparisons.compared import compared
 from comparisons.episodes import Recorded, load_record
 from comparisons.tables import EPISODES, JOB, ORIGIN, QPS, STEPS, Schema
-from prioritized_ik.errors import InputError
+from prioritized_ik.errors import EpisodeFileError, InputError
 from prioritized_ik.files import advising, write_whole
 from prioritized_ik.problem import IKProblem
+from prioritized_ik.scene.scene import Scene
 
 PARTS: dict[str, Schema] = {
     "steps": {**JOB, **STEPS, **ORIGIN},
@@ -141,6 +144,23 @@ class Store:
         """
         return self.recorded(case).problem(step)
 
+    def model(self, case: str) -> mujoco.MjModel | None:
+        """Return the model of a case that is a scene.
+
+        Raises:
+            EpisodeFileError: its file cannot be read.
+        """
+        file = self._model_file(case)
+        if not file.exists():
+            return None
+        try:
+            return mujoco.MjModel.from_binary_path(str(file))
+        except ValueError as error:
+            raise EpisodeFileError(f"cannot read {str(file)!r} ({error}); start over with --fresh.") from error
+
+    def _model_file(self, case: str) -> Path:
+        return self.folder / f"recorded/{file_name(case)}.mjb"
+
     def _recorded(self, case: str) -> Recorded:
         """Return the recorded episode of a case."""
         return load_record(self.folder / f"recorded/{file_name(case)}.npz")
@@ -167,7 +187,10 @@ class Store:
         self.write_file(f"parts/{kind}/{name}.parquet", frame.write_parquet)
 
     def add_case(self, case: Case, episode: bytes, free: Sequence[bool | None], replayed: list[int]) -> None:
-        """Write the recorded episode of a case, and which of its steps are replayed."""
+        """Write the recorded episode of a case, of a scene its model, and which of its steps are replayed."""
+        if isinstance(case.posed, Scene):
+            with advising("write", self._model_file(case.name)):
+                mujoco.mj_saveModel(case.posed.model, str(self._model_file(case.name)), None)
         self.write_file(f"recorded/{file_name(case.name)}.npz", lambda file: file.write(episode))
         self.add("recorded", file_name(case.name), [{"step": step, "free": free[step]} for step in replayed])
 

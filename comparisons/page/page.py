@@ -64,7 +64,7 @@ def data(store: Source, rows: list[Row]) -> dict[str, Any]:
         "agreement": agreement(answers),
         "courses": shown,
         "courses_left_out": left_out,
-        "replays": replays(store.folder, episodes),
+        "replays": replays(store.folder, episodes, store.model),
         "failures": failures(answers, episodes, store.problem),
     }
 

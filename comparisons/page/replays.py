@@ -1,44 +1,50 @@
-"""Driven windings as the page replays them: where the arm was and what it touched, in whole numbers."""
+"""Driven episodes as the page replays them: where the arm was and what it touched; of scenes, where each geom was."""
 
-import base64
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import polars
 
+from comparisons.page.quantised import base64_of, quantised
+from comparisons.page.scenes import Drawn
 from comparisons.page.series import Key, labels
+from prioritized_ik.recording import Recording
 from prioritized_ik.winding.episode import Episode
 
-LARGEST = 32767  # of the whole numbers that coordinates are stored as: 0.02 mm steps over an arm of 1 m
 SHOWN_LENGTH = 2.2  # half length of a cylinder or capsule in a picture, in radii
 
-#: All windings together take this many bytes of a page at most. Beyond, states between are left out, and the page says so.
+#: All episodes together take this many bytes of a page at most. Beyond, states between are left out, and the page says so.
 BUDGET = 4_000_000
 
-FIGURES = ("turns", "turns_ratio", "penetration", "bend", "drift")
+FIGURES = ("turns", "turns_ratio", "penetration", "bend", "drift", "error")
 
 
-def replays(folder: Path, episodes: polars.DataFrame) -> dict[str, Any]:
-    """Return `every` (which of the states are kept) and `windings`, one for each saved episode of a winding.
+def replays(folder: Path, episodes: polars.DataFrame, model: Callable[[str], mujoco.MjModel | None]) -> dict[str, Any]:
+    """Return `every` (which of the states are kept) and `windings`, one for each saved episode of a winding or a scene.
 
     Args:
         folder: where the episodes' files are.
         episodes: the table of `Source.episodes`.
+        model: see `Source.model`.
 
     Raises:
         EpisodeFileError: a file that the table names is damaged or not there.
     """
-    windings_of = episodes.filter(polars.col("file").is_not_null() & polars.col("turns").is_not_null())
-    saved = list(windings_of.sort("case", maintain_order=True).iter_rows(named=True))
+    saved = list(episodes.filter(polars.col("file").is_not_null()).sort("case", maintain_order=True).iter_rows(named=True))
+    saved = [row for row in saved if row["turns"] is not None or model(row["case"]) is not None]
     states = sum(int(row["steps"]) + 1 for row in saved)
-    loaded = ((row, Episode.load(folder / row["file"])) for row in saved)
     names = dict(zip(keys := list(dict.fromkeys(_key(row) for row in saved)), labels(keys), strict=True))
     every = 0
     windings: list[dict[str, Any]] = []
-    for row, episode in loaded:
+    for row in saved:
+        shown = _shown(folder / row["file"], model(row["case"]))
         # All arms are about as long as the first.
-        every = every or max(1, -(-states * _bytes_a_state(episode) // BUDGET))
+        every = every or max(1, -(-states * shown.bytes_a_state // BUDGET))
         windings.append(
             {
                 "case": row["case"],
@@ -47,10 +53,26 @@ def replays(folder: Path, episodes: polars.DataFrame) -> dict[str, Any]:
                 "outcome": row["outcome"] or "",
                 "message": row["message"] or "",
                 **{name: _number(row.get(name)) for name in FIGURES},
-                **moved(episode, every),
+                **shown.moved(every),
             }
         )
     return {"every": max(every, 1), "windings": windings}
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """An episode that can be shown: what one state takes of a page, and its motion, given which states are kept."""
+
+    bytes_a_state: int
+    moved: Callable[[int], dict[str, Any]]
+
+
+def _shown(file: Path, model: mujoco.MjModel | None) -> _Shown:
+    if model is None:
+        episode = Episode.load(file)
+        return _Shown(_bytes_a_state(episode), partial(moved, episode))
+    drawn = Drawn.of(model)
+    return _Shown(drawn.bytes_a_state, partial(drawn.moved, Recording.load(file)))
 
 
 def moved(episode: Episode, every: int) -> dict[str, Any]:
@@ -62,9 +84,7 @@ def moved(episode: Episode, every: int) -> dict[str, Any]:
     last = len(episode.positions) - 1
     chosen = np.unique([*range(0, last, every), last])
     positions = episode.positions[chosen]
-    low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
-    centre, unit = 0.5 * (low + high), max(float((high - low).max()), 1e-9) / (2 * LARGEST)
-    whole = np.round((positions - centre) / unit).astype("<i2")
+    whole, centre, unit = quantised(positions)
     wound = episode.settings.wound_object()
     size = list(wound.size)
     if wound.shape in ("cylinder", "capsule"):
@@ -75,8 +95,8 @@ def moved(episode: Episode, every: int) -> dict[str, Any]:
         "radius": episode.settings.arm.radius,
         "centre": centre.tolist(),
         "unit": unit,
-        "positions": _base64(whole.tobytes()),
-        "contact": _base64(np.packbits(episode.in_contact[chosen], axis=1).tobytes()),
+        "positions": base64_of(whole.tobytes()),
+        "contact": base64_of(np.packbits(episode.in_contact[chosen], axis=1).tobytes()),
         "object": {
             "shape": wound.shape,
             "size": size,
@@ -93,10 +113,6 @@ def _key(row: dict[str, Any]) -> Key:
 def _bytes_a_state(episode: Episode) -> int:
     links = episode.settings.arm.links
     return (6 * links + -(-links // 8)) * 4 // 3
-
-
-def _base64(content: bytes) -> str:
-    return base64.b64encode(content).decode("ascii")
 
 
 def _number(value: float | None) -> float | None:

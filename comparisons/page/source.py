@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any, Protocol
 
+import mujoco
 import polars
 
 from prioritized_ik.problem import IKProblem
@@ -30,4 +31,8 @@ class Source(Protocol):
 
     def problem(self, case: str, step: int) -> IKProblem:
         """Return a recorded problem."""
+        ...
+
+    def model(self, case: str) -> mujoco.MjModel | None:
+        """Return the model of a case that is a scene."""
         ...

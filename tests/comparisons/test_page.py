@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import polars
 import pytest
@@ -20,12 +21,16 @@ from comparisons.page.courses import FAILED, courses
 from comparisons.page.failures import failures
 from comparisons.page.page import data
 from comparisons.page.profile import profiles, stairs_of
+from comparisons.page.quantised import LARGEST
 from comparisons.page.replays import moved, replays
+from comparisons.page.scenes import Drawn
 from comparisons.page.series import Answers, answers_of, labels
 from comparisons.page.verdicts import finding, verdicts
 from comparisons.summary import Row, summarise
 from prioritized_ik.errors import EpisodeFileError, InputError
+from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.problem_file import load_problem
+from prioritized_ik.recording import Recording
 
 OFF_WORDS = "answered, and was wrong by more than the verdict allows"
 QUANTISED = 5e-5  # [m] half a step of 16-bit numbers over an arm of 1 m measures 8e-6
@@ -147,18 +152,21 @@ def test_a_motion_is_kept_to_a_fraction_of_a_millimetre(store: SmallStore) -> No
 def test_windings_beyond_the_budget_keep_every_few_states_and_the_last(
     store: SmallStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = replays(store.folder, store.episodes())
+    whole = replays(store.folder, store.episodes(), store.model)
     assert whole["every"] == 1
     size = sum(len(winding["positions"]) + len(winding["contact"]) for winding in whole["windings"])
     monkeypatch.setattr(replaying, "BUDGET", size // 4)
-    thinned = replays(store.folder, store.episodes())
+    thinned = replays(store.folder, store.episodes(), store.model)
     assert thinned["every"] > 1
     assert sum(len(winding["positions"]) for winding in thinned["windings"]) < size / 3
     assert [winding["at"][-1] for winding in thinned["windings"]] == [winding["at"][-1] for winding in whole["windings"]]
 
 
 def test_a_winding_without_a_file_is_not_replayed_but_told_among_the_failures(store: SmallStore, answers: Answers) -> None:
-    assert [winding["label"] for winding in replays(store.folder, store.episodes())["windings"]] == [FAST, SLOW]
+    assert [winding["label"] for winding in replays(store.folder, store.episodes(), store.model)["windings"]] == [
+        FAST,
+        SLOW,
+    ]
     groups = failures(answers, store.episodes(), store.problem)["groups"]
     assert [(group["solver"], group["count"], group["message"]) for group in groups if group["windings"]] == [
         (WRONG, 1, MESSAGE)
@@ -258,3 +266,44 @@ def test_a_page_that_cannot_be_written_or_a_damaged_winding_is_told(
     (store.folder / f"{FAST}.npz").write_bytes(content)
     with pytest.raises(EpisodeFileError, match=FAST):
         write_page(tmp_path, store, rows)
+
+
+#: A geom of every shape, and one that is not shown, on joints of several kinds.
+SHAPES = """
+<mujoco><compiler angle="radian"/><asset><mesh name="wedge" vertex="0 0 0  0.2 0 0  0 0.1 0  0 0 0.3"/>
+<material name="red" rgba="1 0 0 0.5"/></asset><worldbody><geom type="plane" size="0 0 1"/>
+<geom type="box" size="0.1 0.2 0.3" pos="1 0 0.3" euler="0 0 0.5"/>
+<body pos="0 0 1"><freejoint/><geom size="0.1" material="red"/><geom type="capsule" size="0.02 0.1" pos="0.1 0 0"/>
+<body pos="0.2 0 0"><joint axis="0 1 0"/><geom type="ellipsoid" size="0.1 0.05 0.02" pos="0 0 0.1" euler="0.3 0.2 0.1"/>
+<geom type="mesh" mesh="wedge" pos="0 0.1 0"/><geom size="0.01" group="3"/><geom size="0.01" rgba="0 0 0 0"/></body></body>
+</worldbody></mujoco>
+"""
+
+
+def test_every_visible_geom_of_a_scene_is_where_mujoco_has_it_at_every_state() -> None:
+    model = mujoco.MjModel.from_xml_string(SHAPES)
+    rng, data = np.random.default_rng(2), mujoco.MjData(model)
+    q = np.tile(model.qpos0, (5, 1))
+    for position in q[1:]:
+        mujoco.mj_integratePos(model, position, rng.normal(size=model.nv), 1.0)
+    dtheta = rng.normal(size=(5, model.nv))
+    after = q[-1].copy()
+    mujoco.mj_integratePos(model, after, dtheta[-1], 1.0)
+    problem = IKProblem([Level(np.eye(model.nv), np.zeros(model.nv))])
+    motion = Drawn.of(model).moved(Recording.of([problem] * 5, q, dtheta), 2)
+    assert motion["at"] == [0, 2, 4, 5]
+    assert [geom["shape"] for geom in motion["geoms"]] == ["box", "box", "sphere", "capsule", "ellipsoid", "box"]
+    assert [geom["moves"] for geom in motion["geoms"]] == [False, False, True, True, True, True]
+    assert motion["meshes"] == 1
+    assert motion["geoms"][2]["colour"] == [1.0, 0.0, 0.0, 0.5]
+    whole = np.frombuffer(base64.b64decode(motion["positions"]), "<i2").reshape(4, 4, 3)
+    turns = np.frombuffer(base64.b64decode(motion["turns"]), "<i2").reshape(4, 4, 4) / LARGEST
+    for state, position in enumerate([q[0], q[2], q[4], after]):
+        data.qpos[:] = position
+        mujoco.mj_forward(model, data)
+        for place, (geom, turn) in enumerate(zip((2, 3, 4, 5), turns[state], strict=True)):
+            matrix = np.empty(9)
+            mujoco.mju_quat2Mat(matrix, turn / np.linalg.norm(turn))
+            assert matrix == pytest.approx(data.geom_xmat[geom], abs=2e-4)
+            middle = data.geom_xpos[geom] + matrix.reshape(3, 3) @ (model.geom_aabb[geom, :3] if geom == 5 else np.zeros(3))
+            assert np.array(motion["centre"]) + motion["unit"] * whole[state, place] == pytest.approx(middle, abs=2e-4)

@@ -7,16 +7,21 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import playwright.sync_api as playwright
+import polars
 import pytest
 from page_fixtures import CASE, FAST, MESSAGE, SLOW, WRONG, SmallStore
 from PIL import Image
+from repository import ROOT
 from winding_fixtures import recorded
 
+import prioritized_ik as pik
 from comparisons.page import write_page
 from comparisons.summary import summarise
 from prioritized_ik.problem_file import load_problem
+from prioritized_ik.recording import Recording
 from prioritized_ik.winding.episode import Episode
 
 EPISODE = recorded(link=13)  # what FAST drove, the first of the choice
@@ -249,3 +254,48 @@ def test_what_a_solver_says_is_text_and_its_problem_can_be_downloaded(page: "pla
     assert re.fullmatch(r"[\w.=-]+\.npz", started.value.suggested_filename)
     assert load_problem(tmp_path / "problem.npz").joint_count > 0
     assert "SolveOptions(rank_tolerance=0.0001)" in page.locator("#failures-view pre").inner_text(), "as it was compared"
+
+
+class Scened(SmallStore):
+    """The same, but two solvers drove the robot of a scene, the second to another place."""
+
+    scene = pik.load_scene(ROOT / "examples" / "scenes" / "reach.toml")
+
+    def episodes(self) -> polars.DataFrame:
+        episodes = super().episodes().with_columns(turns=None, outcome=polars.lit("REACHED"), error=1e-7)
+        for solver, away in ((FAST, 0.1), (SLOW, 0.8)):
+            q = self.scene.q + away * np.linspace(0.0, 1.0, 11)[:, None]
+            Recording.of([self.episode.problem(0)] * 11, q, np.zeros((11, 7))).save(self.folder / f"{solver}.npz")
+        return episodes.with_columns(steps=polars.lit(11))
+
+    def model(self, case: str) -> mujoco.MjModel:
+        return self.scene.model
+
+
+@pytest.mark.parametrize("size", WIDTHS.values(), ids=WIDTHS.keys())
+def test_a_scene_is_replayed_with_all_its_geoms(
+    browser: "playwright.Browser", tmp_path: Path, size: tuple[int, int]
+) -> None:
+    store, said = Scened(tmp_path), list[str]()
+    file = write_page(tmp_path, store, summarise(store.steps(), store.episodes()))
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(file.as_uri())
+    assert page.locator(".status").inner_text() == "step 11 of 11"
+    assert "tasks met" in page.locator(".numbers").inner_text()
+    red, green, blue = np.moveaxis(shown(page), 2, 0)[:3]
+    assert ((red > blue + 30) & (red > green + 10)).sum() > 200, "the post is brown"
+    assert ((blue > red + 15) & (blue < 200)).sum() > 1000, "the arm is blue"
+    end = shown(page)
+    page.locator(".slider").fill("0")
+    start = shown(page)
+    assert (np.abs(start - end) > 40).sum() > 2000, "it moves"
+    page.get_by_label("Laid over it", exact=True).select_option(FAST)
+    assert (np.abs(shown(page) - start) > 40).sum() < 100, "the second is hidden where both agree"
+    page.get_by_label("Laid over it", exact=True).select_option(SLOW)
+    page.locator(".slider").fill("11")
+    assert (np.abs(shown(page) - end) > 40).sum() > 2000, "and shows where they do not"
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    assert said == []
+    page.close()

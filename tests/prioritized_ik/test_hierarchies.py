@@ -1,7 +1,8 @@
 """Any number of levels of either kind, with hard rows and equalities: found, proven, and equal to the optimum.
 
 The problems are those of `hierarchies.py`. The first part of this file checks them without the library's solvers; the
-second holds the solvers to them. `pytest tests/prioritized_ik/test_hierarchies.py -k campaign --campaign 20000` runs the long version.
+second holds the solvers to them. `pytest tests/prioritized_ik/test_hierarchies.py -k campaign --campaign 20000` runs the
+long version.
 """
 
 import itertools

@@ -3,7 +3,8 @@
 Factors are powers of two, so that the problem is the same to the last bit. Others round it anew: then the answer moves by
 what that much noise moves the optimum.
 
-`PRIORITIZED_IK_CAMPAIGN=1000 pytest tests/prioritized_ik/test_invariance.py` takes so many problems of each kind instead of a few.
+`PRIORITIZED_IK_CAMPAIGN=1000 pytest tests/prioritized_ik/test_invariance.py` takes so many problems of each kind instead of
+a few.
 """
 
 import os

@@ -1,7 +1,7 @@
 """The drop-in for mink: one import changed, the same answers; strict levels, names and errors beyond.
 
-`PRIORITIZED_IK_CAMPAIGN=500 pytest tests/prioritized_ik/test_mink_dropin.py -k optimum` compares that many configurations a model and
-scenario instead of a sample. Robots of dm_control are among them where its files are found; its code is not run.
+`PRIORITIZED_IK_CAMPAIGN=500 pytest tests/prioritized_ik/test_mink_dropin.py -k optimum` compares that many configurations a
+model and scenario instead of a sample. Robots of dm_control are among them where its files are found; its code is not run.
 """
 
 import copy

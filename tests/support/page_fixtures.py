@@ -70,6 +70,9 @@ class SmallStore:
         assert case == CASE
         return self.episode.problem(step)
 
+    def model(self, case: str) -> None:
+        assert case == CASE
+
     def _driven(self, solver: str) -> Episode:
         return self.episode if solver == FAST else recorded(link=13, tilt=0.3)  # so that they look different
 

@@ -1,5 +1,5 @@
 "use strict";
-// The windings in three dimensions: play, scrub, choose the solver, lay a second one over the first.
+// The windings or scenes in three dimensions: play, scrub, choose the solver, lay a second one over the first.
 
 const SECONDS = 8; // that a winding plays for at the usual speed
 const FREE = ["#3f7fb8", "#2b628f"]; // neighbours differ, so that links show
@@ -14,7 +14,11 @@ class Replay {
       box.append(el("p", { class: "note" }, "The replay needs WebGL 2, which this browser does not have here."));
       return;
     }
-    if (!this.windings.length) { box.append(el("p", {}, "No winding was driven in this run.")); return; }
+    if (!this.windings.length) { box.append(el("p", {}, "Nothing was driven in this run: recorded problems do not say which robot posed them.")); return; }
+    this.ofScenes = Boolean(this.windings[0].geoms);
+    if (this.ofScenes) {
+      document.querySelector("#replay .how").textContent = "The robot as each solver drove it through the scene, the second solver in grey; drag the picture to turn it.";
+    }
     this.cases = [...new Set(this.windings.map((one) => one.case))];
     this.frame = 0;
     this.playing = false;
@@ -25,12 +29,12 @@ class Replay {
   }
 
   build(box) {
-    this.caseChoice = choice("Winding", this.cases, 0, (i) => this.chooseCase(i));
+    this.caseChoice = choice(this.ofScenes ? "Scene" : "Winding", this.cases, 0, (i) => this.chooseCase(i));
     this.solverChoice = choice("Solver", [], 0, (i) => this.choose(i, this.other));
     this.otherChoice = choice("Laid over it", [], 0, (i) => this.choose(this.solver, i - 1));
     const speeds = [0.25, 1, 4];
     this.speedChoice = choice("Speed", speeds.map((s) => `${s} ×`), 1, (i) => { this.speed = speeds[i]; });
-    this.canvas = el("canvas", { "aria-label": "The arm", role: "img" });
+    this.canvas = el("canvas", { "aria-label": this.ofScenes ? "The robot" : "The arm", role: "img" });
     this.status = el("p", { class: "status" });
     this.solids = new Solids(this.canvas);
     this.stage = el("div", { class: "stage" }, this.canvas, this.status);
@@ -40,13 +44,16 @@ class Replay {
     this.roll = el("canvas", { class: "roll", "aria-label": "Contact of each link over the steps", role: "img" });
     this.numbers = el("dl", { class: "numbers" });
     const swatch = (colour, text) => { const i = el("i"); i.style.background = colour; return el("span", {}, i, text); };
-    box.append(
-      el("div", { class: "controls" }, this.caseChoice.label, this.solverChoice.label, this.otherChoice.label, this.speedChoice.label,
-        this.button),
-      this.stage, this.slider, this.roll,
+    const controls = el("div", { class: "controls" }, this.caseChoice.label, this.solverChoice.label, this.otherChoice.label,
+      this.speedChoice.label, this.button);
+    const meshes = Math.max(...this.windings.map((one) => one.meshes || 0));
+    if (this.ofScenes) box.append(controls, this.stage, this.slider, this.numbers);
+    else box.append(
+      controls, this.stage, this.slider, this.roll,
       el("div", { class: "key" }, swatch(TOUCHING[0], "link in contact"), swatch(FREE[0], "link in the air"),
         swatch(INSIDE_COLOUR, "inside the object"), swatch(OTHER[0], "second solver"), el("span", {}, "Strip: links from the base (bottom) to the tip (top), over the steps")),
       this.numbers);
+    if (meshes) box.append(el("p", { class: "note" }, "Meshes are shown as the boxes that hold them."));
     if (this.every > 1) box.append(el("p", { class: "note" }, `Every ${this.every}th state is kept, for the size of this page.`));
     this.drag();
     this.roll.addEventListener("pointerdown", (event) => {
@@ -80,8 +87,9 @@ class Replay {
     const share = this.motion ? this.frame / Math.max(1, this.motion.count - 1) : 0;
     this.motion = motionOf(this.winding);
     this.second = other >= 0 ? motionOf(this.inCase[other]) : null;
-    this.solids.show(this.winding.object);
-    this.angles = this.angles || firstAngles(this.winding.object);
+    if (this.ofScenes) this.solids.showGeoms(this.winding.geoms, this.second ? [null, OTHER[0]] : [null]);
+    else this.solids.show(this.winding.object);
+    this.angles = this.angles || (this.ofScenes ? { azimuth: -0.9, elevation: 0.4 } : firstAngles(this.winding.object));
     this.slider.max = this.motion.count - 1;
     this.tell();
     this.go(Math.round(share * (this.motion.count - 1)));
@@ -89,14 +97,16 @@ class Replay {
 
   tell() {
     const one = this.winding;
-    const outcomes = { WOUND: "wound", LOST: "lost contact", OUT_OF_STEPS: "no end", SOLVER_FAILED: "the solver failed" };
+    const outcomes = { WOUND: "wound", LOST: "lost contact", OUT_OF_STEPS: "no end", SOLVER_FAILED: "the solver failed",
+      REACHED: "tasks met", OUT_OF_REACH: "out of reach", STUCK: "held back by limits" };
     const show = (value, factor, digits, unit) => (value === null ? "–" : `${(value * factor).toFixed(digits)}${unit}`);
-    const pairs = [
-      ["outcome", outcomes[one.outcome] || one.outcome], ["steps", String(this.motion.steps[this.motion.count - 1])],
+    const pairs = [["outcome", outcomes[one.outcome] || one.outcome], ["steps", String(this.motion.steps[this.motion.count - 1])]];
+    if (this.ofScenes) pairs.push(["largest error of a required task", one.error === null ? "–" : figure(one.error)]);
+    else pairs.push(
       ["turns", show(one.turns, 1, 2, "")], ["of the ideal", show(one.turns_ratio, 1, 2, "")],
       ["penetration", show(one.penetration, 1e3, 1, " mm")], ["largest bend", show(one.bend, 1, 2, " rad")],
       ["drift", show(one.drift, 1e3, 1, " mm")],
-    ];
+    );
     this.numbers.replaceChildren(...pairs.map(([name, text]) => el("div", {}, el("dt", {}, name), el("dd", {}, text))));
     if (one.message) this.numbers.append(el("div", {}, el("dt", {}, "message"), el("dd", {}, one.message)));
   }
@@ -132,6 +142,12 @@ class Replay {
     const height = Math.round(Math.max(300, Math.min(560, width * 0.56)));
     this.solids.size(width, height);
     this.solids.fit(this.angles, this.toSee(), width, height);
+    if (this.ofScenes) {
+      const frames = this.second ? [[this.motion, this.frame], [this.second, this.secondFrame()]] : [[this.motion, this.frame]];
+      this.solids.drawGeoms(frames.map(([motion, frame]) => motion.poses(frame)));
+      this.status.textContent = `step ${this.motion.steps[this.frame]} of ${this.motion.steps[this.motion.count - 1]}`;
+      return;
+    }
     const arms = [{ points: this.motion.points(this.frame), colour: (i) => (this.motion.touches(this.frame, i) ? TOUCHING : FREE)[i % 2] }];
     if (this.second) {
       const frame = this.secondFrame();
@@ -213,6 +229,7 @@ function motionOf(winding) {
   if (winding.motion) return winding.motion;
   const bytes = bytesOf(winding.positions);
   const whole = new DataView(bytes.buffer);
+  if (winding.geoms) return (winding.motion = sceneMotion(winding, whole));
   const bits = bytesOf(winding.contact);
   const { links, unit, centre, at } = winding;
   const perState = Math.ceil(links / 8);
@@ -228,6 +245,18 @@ function motionOf(winding) {
     touches: (frame, i) => (bits[frame * perState + (i >> 3)] >> (7 - (i & 7))) & 1,
   };
   return winding.motion;
+}
+
+function sceneMotion({ geoms, unit, centre, at, turns }, whole) {
+  const moving = geoms.filter((geom) => geom.moves);
+  const sides = new DataView(bytesOf(turns).buffer);
+  const place = (frame, i) => centre.map((c, k) => c + unit * whole.getInt16(2 * ((frame * moving.length + i) * 3 + k), true));
+  const quaternion = (frame, i) => [0, 1, 2, 3].map((k) => sides.getInt16(2 * ((frame * moving.length + i) * 4 + k), true));
+  return {
+    count: at.length, steps: at,
+    points: (frame) => moving.flatMap((geom, i) => around(place(frame, i), geom.reach)),
+    poses: (frame) => moving.map((_, i) => ({ place: place(frame, i), quaternion: quaternion(frame, i) })),
+  };
 }
 
 function firstAngles(object) {

@@ -1,5 +1,5 @@
 "use strict";
-// The arm and the wound object in three dimensions, drawn by three.js.
+// The arm and the wound object, or all geoms of a scene, in three dimensions, drawn by three.js.
 
 const PIECES = 6; // of each link, each coloured by whether it is inside the object
 const INSIDE = 5e-4; // [m] deeper than this a link is inside
@@ -36,6 +36,12 @@ function distanceTo({ shape, size }, p) {
   return Math.hypot(...sides.map((value) => Math.max(value, 0))) + Math.min(0, Math.max(...sides));
 }
 
+// MuJoCo's quaternions begin with w.
+const turn = (mesh, [w, x, y, z]) => mesh.quaternion.set(x, y, z, w).normalize();
+
+// What a ball around a place reaches, for the camera.
+const around = (place, reach) => [0, 1, 2].flatMap((k) => [-1, 1].map((side) => place.map((v, i) => v + (i === k ? side * reach : 0))));
+
 class Solids {
   constructor(canvas) {
     // What is drawn stays readable: saved as a picture, for instance.
@@ -49,8 +55,51 @@ class Solids {
     this.arms = [];
   }
 
+  clear() {
+    if (this.body) this.scene.remove(this.body);
+    for (const robot of this.robots || []) this.scene.remove(robot);
+    for (const group of [this.body, ...this.robots || []]) group?.traverse((part) => { part.geometry?.dispose(); part.material?.dispose(); });
+    this.robots = [];
+  }
+
+  // The geoms of a scene: those that rest, and for each of its robots, one a colour, those that move.
+  showGeoms(geoms, colours) {
+    this.clear();
+    const solid = (geom, colour) => {
+      const [red, green, blue, opacity] = geom.colour;
+      const made = new THREE.MeshStandardMaterial({ roughness: 0.6, transparent: opacity < 1, opacity,
+        color: colour || new THREE.Color().setRGB(red, green, blue, THREE.SRGBColorSpace) });
+      const mesh = new THREE.Mesh(geometryOf(geom), made);
+      mesh.position.set(...geom.position);
+      turn(mesh, geom.turn);
+      return mesh;
+    };
+    const resting = geoms.filter((geom) => !geom.moves), moving = geoms.filter((geom) => geom.moves);
+    this.body = new THREE.Group();
+    for (const geom of resting) this.body.add(solid(geom));
+    this.near = resting.filter((geom) => geom.reach);
+    this.robots = colours.map((colour) => {
+      const robot = new THREE.Group();
+      for (const geom of moving) robot.add(solid(geom, colour));
+      if (colour) robot.children.forEach((mesh) => mesh.scale.setScalar(0.96)); // hidden where both agree
+      return robot;
+    });
+    this.scene.add(this.body, ...this.robots);
+  }
+
+  // `poses` of each robot: of every geom that moves, its place and its quaternion.
+  drawGeoms(poses) {
+    while (this.arms.length) { const old = this.arms.pop(); this.scene.remove(old); old.dispose(); }
+    poses.forEach((geoms, k) => geoms.forEach(({ place, quaternion }, i) => {
+      const mesh = this.robots[k].children[i];
+      mesh.position.set(...place);
+      turn(mesh, quaternion);
+    }));
+    this.renderer.render(this.scene, this.camera);
+  }
+
   show(object) {
-    this.scene.remove(this.body);
+    this.clear();
     const mesh = new THREE.Mesh(geometryOf(object), new THREE.MeshStandardMaterial({
       color: "#d9c98f", roughness: 0.9, transparent: true, opacity: 0.45, depthWrite: false, side: THREE.DoubleSide }));
     const edges = new THREE.LineSegments(new THREE.EdgesGeometry(mesh.geometry, 40), new THREE.LineBasicMaterial({ color: "#8d7d45" }));
@@ -64,6 +113,7 @@ class Solids {
 
   // Corners of the object's own box, for the camera.
   corners() {
+    if (this.robots.length) return this.near.flatMap((geom) => around(geom.position, geom.reach));
     const box = new THREE.Box3().setFromObject(this.body);
     return [0, 1, 2, 3, 4, 5, 6, 7].map((k) => [0, 1, 2].map((axis) => (k >> axis & 1 ? box.max : box.min).getComponent(axis)));
   }
