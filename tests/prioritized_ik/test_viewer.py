@@ -1,5 +1,6 @@
 """Pictures, films and the live view: what is drawn and said is where the robot is, and what its step reports."""
 
+import contextlib
 import json
 import os
 import re
@@ -8,8 +9,10 @@ import subprocess
 import sys
 import urllib.request
 from pathlib import Path
+from typing import Any
 
 import imageio_ffmpeg
+import mujoco
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -22,6 +25,7 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.viewer import Camera, Film, View, picture
 from prioritized_ik.viewer.marks import FREE, HOLDING, MET, UNMET, marks_of
 from prioritized_ik.viewer.panel import lines_of
+from prioritized_ik.viewer.window import Window
 
 DT = 0.05  # [s]
 SMALL = (160, 120)  # [pixels]
@@ -254,3 +258,38 @@ def test_what_is_viewed_says_where_it_is_seen_and_stays_until_it_is_interrupted(
         told, _ = running.communicate()
     assert running.returncode == 0
     assert told.startswith(result)
+
+
+class Handle:
+    """What `mujoco.viewer.launch_passive` returns, as far as a window uses it."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, **options: bool) -> None:
+        self.user_scn = mujoco.MjvScene(model, 100)
+        self.texts: tuple[Any, ...] = ()
+        self.synced = 0
+
+    def lock(self) -> Any:
+        return contextlib.nullcontext()
+
+    def set_texts(self, texts: tuple[Any, ...]) -> None:
+        self.texts = texts
+
+    def sync(self) -> None:
+        self.synced += 1
+
+
+def test_a_window_shows_marks_and_the_panel_in_letters_that_its_fonts_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mujoco.viewer.launch_passive", Handle)
+    robot = pik.example("arm", q=[0.3, 0.5, 0.2, 1.2, 0.1, 0.6, 0.0])
+    tool = pik.Position(robot, [0.55, 0.2, 0.3], site="tool")
+    levels = [tool, pik.Axis(robot, [0.0, 0.0, -1.0], site="tool")]
+    levels[1].name = "axis – of Ω"
+    window = Window(robot)
+    window.show(robot, marks_of(robot, levels), lines_of(robot, [[task] for task in levels], None))
+    handle = window._handle
+    assert handle.synced == 1
+    assert handle.user_scn.ngeom >= 2
+    names, errors = handle.texts[2:]
+    assert names == "1 position of tool\n2 axis - of ?"
+    assert errors.splitlines()[1].endswith(" deg")
+    assert (names + errors).isascii()

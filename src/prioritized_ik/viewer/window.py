@@ -1,6 +1,6 @@
 """MuJoCo's own viewer."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import mujoco
 import mujoco.viewer
@@ -9,6 +9,9 @@ from prioritized_ik.robot import Robot
 from prioritized_ik.viewer.canvas import add_marks
 from prioritized_ik.viewer.marks import Mark
 from prioritized_ik.viewer.panel import Line
+
+#: What MuJoCo's fonts, which are ASCII, have in place of other letters of ours.
+ASCII = str.maketrans({"°": " deg", "–": "-", "…": "...", "²": "^2", "≥": ">=", "≤": "<=", "·": "|", "θ": "theta"})
 
 
 class Window:
@@ -33,8 +36,8 @@ class Window:
             (
                 mujoco.mjtFontScale.mjFONTSCALE_150,
                 mujoco.mjtGridPos.mjGRID_TOPLEFT,
-                "\n".join(f"{number} {line.name}" for number, line in enumerate(lines, 1)),
-                "\n".join(f"{line.error}{f'  gives way to {line.reason}' if line.gives_way else ''}" for line in lines),
+                _plain(f"{number} {line.name}" for number, line in enumerate(lines, 1)),
+                _plain(f"{line.error}{f'  gives way to {line.reason}' if line.gives_way else ''}" for line in lines),
             )
         )
         self._handle.sync()
@@ -42,3 +45,8 @@ class Window:
     def close(self) -> None:
         """Close the window."""
         self._handle.close()
+
+
+def _plain(lines: Iterable[str]) -> str:
+    """Return lines of text in letters that MuJoCo's fonts have."""
+    return "\n".join(lines).translate(ASCII).encode("ascii", "replace").decode("ascii")
