@@ -616,6 +616,18 @@ def test_a_task_of_rank_two_has_two_rows_and_minks_objective(task):
     assert -rows.T @ (np.sqrt(found.weights) * found.target) == pytest.approx(linear, abs=1e-14)
 
 
+@pytest.mark.parametrize("task", [mink.LookAtTask, mink.AxisAlignTask])
+def test_a_direction_can_be_a_constraint_of_two_rows_however_far_off_it_points(task):
+    configuration = arm()
+    pointing = task("tool", "site", (0.0, 0.0, 1.0), cost=1.0)
+    pointing.set_target(np.array([0.8, -0.3, 0.2]))
+    assert np.linalg.norm(pointing.compute_error(configuration)) > 0.5
+    step = step_ik(configuration, [posture(configuration, 1.0)], DT, limits=[], constraints=[pointing])
+    problem = build_problem(arm(), [posture(configuration, 1.0)], dt=DT, limits=[], constraints=[pointing])
+    assert len(problem.equalities.target) == 2
+    assert step.certificate.holds
+
+
 def test_hands_keep_a_pose_relative_to_each_other_while_one_is_moved():
     configuration, feet, mass, hands, rest = standing()
     together = mink.RelativeFrameTask("left hand", "site", "right hand", "site", 1.0, 0.0)

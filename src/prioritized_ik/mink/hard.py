@@ -14,7 +14,7 @@ import numpy as np
 from prioritized_ik.errors import InputError
 from prioritized_ik.limits import joint_names
 from prioritized_ik.mink.errors import InfeasibleIkError
-from prioritized_ik.mink.levels import rows_of
+from prioritized_ik.mink.levels import met_rows, rows_of
 from prioritized_ik.mink.names import numbered, row_name, task_name
 from prioritized_ik.problem import Bounds, Equalities, Rows
 from prioritized_ik.solvers.step import JointStep, StepStatus
@@ -133,7 +133,7 @@ def hard_tasks(configuration: mink.Configuration, constraints: Sequence[mink.Tas
         if not isinstance(task, mink.Task):
             raise InputError(f"constraints holds {task!r}; expected mink's tasks with a Jacobian and an error.")
     for task, name in zip(chosen, numbered([task_name(task) for task in chosen]), strict=True):
-        matrix, error = rows_of(configuration, task)
+        matrix, error = met_rows(task, *rows_of(configuration, task))
         matrices.append(matrix)
         sides.append(-task.gain * error)
         names += [f"{name} row {place + 1}" for place in range(len(error))]

@@ -21,8 +21,11 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.mink.names import task_name
 from prioritized_ik.problem import Level
 from prioritized_ik.solvers.methods import DAMPING
+from prioritized_ik.tasks.turns import across
 from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array
+
+DIRECTIONS = (mink.LookAtTask, mink.AxisAlignTask)
 
 Tasks = Sequence[BaseTask | Sequence[BaseTask]]
 
@@ -110,11 +113,12 @@ def levels_of(
 
 
 def _strains(matrix: Array, weights: Array, damping: float) -> bool:
-    """Whether `damping` takes more than half of a level's weakest direction: σ² of W^½ J is below it."""
+    """Whether `damping` takes more than half of a level's weakest direction: the least σ² of W^½ J, rounding aside."""
     if not damping:
         return False
     rows = np.sqrt(weights)[:, None] * matrix
-    return float(np.linalg.svd(rows, compute_uv=False)[-1]) ** 2 < damping
+    sizes = np.linalg.svd(rows, compute_uv=False)
+    return float(sizes[sizes > ROUNDING * sizes[0]].min(initial=np.inf)) ** 2 < damping
 
 
 def objective(configuration: mink.Configuration, task: BaseTask) -> Objective:
@@ -127,32 +131,24 @@ def objective(configuration: mink.Configuration, task: BaseTask) -> Objective:
         return _own_objective(configuration, task)
     matrix, error = rows_of(configuration, task)
     cost = np.broadcast_to(np.asarray(task.cost, dtype=float), error.shape)  # after the error: it may depend on it
-    counted = cost > 0.0
-    target = -task.gain * error
-    strained = cost * target
+    strained = cost * task.gain * error
     damping = task.lm_damping * float(strained @ strained)
-    return Objective(*_independent(matrix[counted], target[counted], cost[counted] ** 2), damping)
+    matrix, error = met_rows(task, matrix, error)
+    cost = cost[: len(error)]  # one for all of a direction
+    counted = cost > 0.0
+    return Objective(matrix[counted], -task.gain * error[counted], cost[counted] ** 2, damping)
 
 
-def _independent(matrix: Array, target: Array, weights: Array) -> tuple[Array, Array, Array]:
-    """Return rows, targets and weights of the same cost, but for a constant, without rows that depend on others.
+def met_rows(task: mink.Task, matrix: Array, error: Array) -> tuple[Array, Array]:
+    """Return the rows of a task that a step can meet: of J `(k, nv)` and e `(k,)` of a direction the two across it.
 
-    `LookAtTask` and `AxisAlignTask` have three rows of rank two. The third is a combination of the others but for
-    rounding, which must not count as a direction, however short that row is beside them.
+    The error a - d of `LookAtTask` and `AxisAlignTask` is that of unit vectors, of which a step moves d across itself
+    only: dᵀJ = 0. In doubles that is a row of rounding, which is no direction, and which no step can meet.
     """
-    kept = []
-    for weight in np.unique(weights):
-        rows, sides = matrix[weights == weight], target[weights == weight]
-        if (np.count_nonzero(rows, axis=1) > 1).any():  # rows of one entry, such as a posture's, are independent
-            u, s, vt = np.linalg.svd(rows, full_matrices=False)
-            rank = int(np.count_nonzero(s > ROUNDING * s[0]))
-            if rank < len(rows):
-                rows, sides = s[:rank, None] * vt[:rank], u[:, :rank].T @ sides
-        kept.append((rows, sides, np.full(len(sides), weight)))
-    if sum(len(sides) for _, sides, _ in kept) == len(target):
-        return matrix, target, weights
-    left, sides_left, weights_left = zip(*kept, strict=True)
-    return np.vstack(left), np.concatenate(sides_left), np.concatenate(weights_left)
+    if type(task) not in DIRECTIONS:
+        return matrix, error
+    sides = across(task.axis - error)
+    return sides @ matrix, sides @ error
 
 
 def rows_of(configuration: mink.Configuration, task: mink.Task) -> tuple[Array, Array]:
