@@ -118,12 +118,15 @@ def contact_rows(
     min_distance: float = 0.0,
     gain: float = 1.0,
     margin: float = CONTACT_MARGIN,
+    push_out: float = 0.0,
+    max_step: float | None = None,
 ) -> Rows:
     """Return rows that keep links from coming closer than `min_distance` to the object.
 
     n·J_c dθ >= -gain max(d - d_min, 0), with n the normal into the link and J_c the Jacobian of the link's nearest point
     less that of the object's: n·J_c is the gradient of the distance. The right side is never positive, so dθ = 0 always
-    holds.
+    holds. Rows are of first order, so a link that presses on the object sinks in by what its steps curve; `push_out` brings
+    it back: where d < d_min the right side is min(d_min - d, `push_out`), and no step may do with less.
 
     Args:
         sensor: knows the model, the links and the object.
@@ -132,16 +135,31 @@ def contact_rows(
         min_distance: d_min [m].
         gain: how much of the remaining gap one step may close, in (0, 1].
         margin: only links nearer than this get a row [m].
+        push_out: how far a link that is too close has to come out in one step, at most [m]. Rows that ask for motion can
+            contradict other limits: `InfeasibleError` then names them.
+        max_step: of every joint [rad, m for slides]; links get a row as well that such a step can bring to the object,
+            however far from it they are. Without it a step longer than `margin` can jump into the object.
+
+    Raises:
+        InputError: a value out of range.
     """
     gain_of("gain", gain)
     non_negative("min_distance", min_distance)
-    near = np.flatnonzero(touch.distance < positive("margin", margin))
+    non_negative("push_out", push_out)
+    near = np.flatnonzero(touch.distance < (positive("margin", margin) if max_step is None else sensor.reach))
     distance, normal, point = touch.distance[near], touch.normal[near], touch.point[near]
     gradients = sensor.jacobians.at(data, point, near)
     if sensor.object_moves:
         opposite = point - distance[:, None] * normal
         gradients -= sensor.jacobians.at(data, opposite, np.full(near.size, len(touch.distance)))
+    if max_step is not None:
+        travel = positive("max_step", max_step) * np.linalg.norm(gradients, axis=1).sum(axis=1)
+        some = distance < np.maximum(positive("margin", margin), travel + min_distance)
+        near, distance, normal, gradients = near[some], distance[some], normal[some], gradients[some]
     matrix = (-normal[:, None, :] @ gradients)[:, 0]
-    upper = gain * np.maximum(distance - min_distance, 0.0)
+    gap = distance - min_distance
+    upper = gain * np.maximum(gap, 0.0)
+    if push_out:
+        upper = np.where(gap < 0.0, np.maximum(gap, -push_out), upper)
     names = tuple(contact_row_name(link + 1, sensor.object_name) for link in near.tolist())
     return trusted(Rows, matrix=matrix, upper=upper, names=names)

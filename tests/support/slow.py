@@ -125,6 +125,11 @@ TESTS = {
         "windings_beyond_the_budget_keep_every_few_states_and_the_last",
         "a_winding_without_a_file_is_not_replayed_but_told_among_the_failures",
     ),
+    "pressing": (
+        "a_link_40_mm_deep_comes_out_by_no_more_than_is_asked_of_a_step",
+        "pressing_for_600_steps_a_link_that_is_pushed_out_comes_to_rest_at_the_surface",
+        "without_push_out_it_stays_as_deep_as_its_curvature_took_it",
+    ),
     "recording": ("a_recording_is_read_as_it_was_written_to_the_last_bit",),
     "robot_limits": (
         "a_joint_that_is_driven_to_its_stop_brakes_in_time_and_ends_on_it",
