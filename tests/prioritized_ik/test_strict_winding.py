@@ -194,3 +194,12 @@ def test_a_damped_solve_of_strict_levels_is_refused():
     settings = WindingSettings(weights="strict", solver="damped:daqp", options=QP_ONLY)
     with pytest.raises(InputError, match="the damped formulation takes one level, not 3"):
         wind(settings)
+
+
+@pytest.mark.parametrize("weights", ["eq23", "eq24", "strict"])
+def test_no_step_of_the_eight_windings_is_left_undecided(weights):
+    for tilt in (0.0, 0.3):
+        for direction in DIRECTIONS:
+            episode = wind(WindingSettings(direction=direction, tilt=tilt, weights=weights))
+            assert episode.outcome is Outcome.WOUND
+            assert set(episode.status) <= {"SOLVED", "CLOSED_FORM"}

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from prioritized_ik.solvers.certificate import Proof
@@ -170,8 +169,10 @@ def _held(
     below = to_hold @ felt.unfelt
     combinations, k = np.eye(len(to_hold)), 0
     if below.size:
-        combinations, triangle, _ = scipy.linalg.qr(below, pivoting=True, check_finite=False)
-        k = int(np.count_nonzero(np.abs(np.diag(triangle)) > hierarchy.settled))
+        combinations, strengths, _ = np.linalg.svd(below)
+        # Rounding is of every entry; what a rank tolerance settles is of a row as a whole.
+        entries = 1 if hierarchy.rank_tolerance else below.shape[1]
+        k = int(np.count_nonzero(strengths > hierarchy.settled * np.sqrt(entries)))
     mine = combinations[:, k:].T
     mine = mine[lengths(mine @ (to_hold @ free)) > DEPENDENT]  # the rest copies other rows
     if not len(mine):

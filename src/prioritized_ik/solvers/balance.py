@@ -4,15 +4,15 @@ A level's gradient is put in coordinates in which its cost is ‖·‖². Where 
 level far from what it asks for, doubles do not have the digits that decide; here everything is taken as it is given.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.problem import Level
 from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
-from prioritized_ik.tolerances import DEPENDENT, ROUNDING, UNFELT
-from prioritized_ik.validation import Array, lengths
+from prioritized_ik.tolerances import DEPENDENT, EPS, ROUNDING, UNFELT
+from prioritized_ik.validation import Array, length, lengths
 
 Floats = NDArray[np.floating]  # doubles, or in extended precision
 
@@ -98,6 +98,32 @@ def exact_basis(level: Level, basis: Array, felt: int) -> Floats:
     return exact
 
 
+@dataclass
+class Decided:
+    """What `equal` levels have decided, to see in extended precision how far rounding has turned what they leave.
+
+    Attributes:
+        levels: of each, its rows `(k, m)` and the orthonormal directions `(m, p)` that it decides.
+        given: how far half a unit in the last place of the rows turns what they leave.
+    """
+
+    levels: list[tuple[Array, Array]] = field(default_factory=list)
+    given: float = 0.0
+
+    def add(self, matrix: Array, directions: Array, weakest: float) -> None:
+        """Count a level, of which the weakest direction is `weakest` relative to its rows."""
+        self.levels.append((matrix, directions))
+        self.given = max(self.given, 0.5 * EPS / weakest)
+
+    def turn(self, free: Array) -> float:
+        """Return how far orthonormal `free` `(m, f)` is from directions that the levels do not feel, as an angle."""
+        off = np.zeros(free.shape, np.longdouble)
+        for matrix, directions in self.levels:
+            seen = (matrix.astype(np.longdouble) @ (free - off)).astype(float)
+            off = off + directions @ np.linalg.lstsq(matrix @ directions, seen)[0]
+        return self.given + (float(np.linalg.norm(off.astype(float), 2)) if off.size else 0.0)
+
+
 @dataclass(frozen=True)
 class Balance:
     """How far rows can balance a gradient.
@@ -123,6 +149,25 @@ class Balance:
         return net
 
 
+def _least(cone: Array, gradient: Array, held: NDArray[np.bool_], combination: Array) -> Array:
+    """Return, of the combinations that balance a gradient as well by the same rows, the one of the least multipliers.
+
+    Where rows are nearly parallel in what is left, some that hardly move there can stand for one that does, with
+    multipliers that magnify every rounding.
+    """
+    sizes, t = lengths(cone), len(cone)
+    used = (combination[:t] > 0.0) | held
+    multipliers = np.zeros(t)
+    multipliers[used] = np.linalg.lstsq(cone[used].T, -gradient, rcond=DEPENDENT)[0]
+    if (multipliers[~held] < 0.0).any():
+        return combination
+    normals, least = cone / sizes[:, None], sizes * multipliers
+    before = gradient + np.vstack([normals, -normals[held]]).T @ combination
+    if length(gradient + normals.T @ least) > max(length(before), ROUNDING * length(gradient)):
+        return combination
+    return np.concatenate([np.maximum(least, 0.0), np.maximum(-least[held], 0.0)])
+
+
 def balanced(
     rows: Array, basis: Floats, gradient: Array, held: NDArray[np.bool_], noise: float, *, extended: bool
 ) -> Balance:
@@ -139,6 +184,8 @@ def balanced(
     if not len(rows) or not gradient.any():
         return Balance(normals, sizes, combination, gradient, np.zeros_like(gradient))
     combination, _ = nonnegative_least_squares(signed.T, -gradient)
+    if held.any():
+        combination = _least(cone, gradient, held, combination)
     if not extended:
         rest = gradient + signed.T @ combination
         return Balance(normals, sizes, combination, rest, noise * (np.abs(signed).T @ combination))

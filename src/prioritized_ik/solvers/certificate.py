@@ -30,8 +30,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.problem import IKProblem, Level, trusted
-from prioritized_ik.solvers.balance import Floats, Look, balanced, exact_basis, exact_gradient, farthest, whitened
+from prioritized_ik.solvers.balance import Decided, Floats, Look, balanced, exact_basis, exact_gradient, farthest, whitened
 from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy, Shortfall
+from prioritized_ik.solvers.level_proof import LevelProof
 from prioritized_ik.solvers.subspaces import Range
 from prioritized_ik.tolerances import (
     CERTIFIED,
@@ -48,63 +49,6 @@ from prioritized_ik.tolerances import (
 from prioritized_ik.validation import Array, finite_array, length, lengths, tolerance_above_rounding
 
 FAR = 1e300  # a row that no level above holds can move any way
-
-
-@dataclass(frozen=True)
-class LevelProof:
-    """One level's optimality.
-
-    Attributes:
-        level: its name.
-        gap: how much lower its cost could be with the levels above where they are, in its own units, squared.
-        carried: how much lower it could be because those above are decided to rounding only, or if they were mended.
-        demand: √(bᵀ W b), or its error √Q if that is more, what the gap is relative to, squared.
-        displacement: what would still lower the level's cost without harm to those above `(m,)`, beyond rounding.
-        rounding: how long a displacement the rounding of the conditions' own terms explains.
-        multipliers: λ `(r,)` of the pooled rows; zero for those that do not hold the level back.
-        gradient: the level's, in scaled coordinates `(v,)`.
-        near: numbers of the rows that may hold it back `(t,)`.
-        normals: those rows in the same coordinates `(t, v)`, of unit length.
-        scale: what displacements are relative to.
-        tolerance: what displacements may reach, relative to that.
-    """
-
-    level: str
-    gap: float
-    carried: float
-    demand: float
-    displacement: Array
-    rounding: float
-    multipliers: Array
-    gradient: Array
-    near: NDArray[np.int_]
-    normals: Array
-    scale: float
-    tolerance: float
-
-    @cached_property
-    def excess(self) -> float:
-        """Length of the displacement."""
-        return length(self.displacement)
-
-    @property
-    def relative_gap(self) -> float:
-        """The gap relative to the demand, squared; zero if there is none."""
-        return self.gap / self.demand**2 if self.gap and self.demand else 0.0
-
-    @property
-    def fails(self) -> bool:
-        """Whether the level is not proven optimal."""
-        return self.excess > self.tolerance * self.scale or self.relative_gap > GAP
-
-    def pulls(self, active: NDArray[np.bool_]) -> Iterator[int]:
-        """Yield the `active` rows that pull, most first: their multipliers are negative if all are to be equalities."""
-        among = active[self.near]
-        if among.any():
-            signed = np.linalg.lstsq(self.normals[among].T, -self.gradient)[0]
-            for place in np.argsort(signed):
-                if signed[place] < 0.0:
-                    yield int(self.near[among][place])
 
 
 @dataclass(frozen=True)
@@ -206,7 +150,9 @@ class Proof:
         self.exceeded = (rows.level != HARD) & (self.slack < -near)
         #: How far a row can move that a level above holds, infinite for those that none holds.
         self._leak = np.full(len(rows.upper), np.inf)
+        self._rows = rows.matrix.copy()  # without what several together have left of them, where that settles them
         self._blur = 0.0  # how far rounding may have turned the directions that the levels so far leave
+        self._decided = Decided()
         self._off = 0.0  # by how much the step is off at the levels so far, in what they decide
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
         #: How far the step may go within the room that rows have: what is broken of hard ones, to begin with.
@@ -245,6 +191,7 @@ class Proof:
         free, near = hierarchy.free, np.flatnonzero(self.near & (rows.level == HARD))
         for number, (level, block) in enumerate(zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)):
             shortfall = block.shortfall(rows, self.slack, self.exceeded, u, free)
+            self._settle(near, shortfall.felt.unfelt)
             yield self._proof(level, block.demand, shortfall, free, near, number)
             if not isinstance(block, EqualBlock):
                 # None may be exceeded by more than it is, and none by less without costing the level: they hold.
@@ -254,6 +201,8 @@ class Proof:
             else:
                 free = shortfall.felt.unfelt
                 self._blur = max(self._blur, block.blur)
+                given = level.matrix if hierarchy.rank_tolerance else level.matrix / lengths(level.matrix)[:, None]
+                self._decided.add(given, block.felt, float(block.spectrum.kept.min(initial=np.inf)))
         reference = hierarchy.problem.reference
         terms = np.abs(free.T) @ (np.abs(u) + np.abs(reference))
         size = length(u) + length(reference)
@@ -261,6 +210,15 @@ class Proof:
         identity = np.eye(len(u))
         own = trusted(Level, matrix=identity, target=reference, weights=np.ones(len(u)), name="last level", kind="equal")
         yield self._proof(own, size, last, free, near)
+
+    def _settle(self, near: NDArray[np.int_], unfelt: Array) -> None:
+        """Leave out of `near` rows what `unfelt` directions move of combinations that a level settles, as the kernel does.
+
+        Two rows that say the same of what is left, but for that little, are one row there.
+        """
+        combinations, strengths, directions = np.linalg.svd(self._rows[near] @ unfelt, full_matrices=False)
+        few = strengths <= self._hierarchy.settled
+        self._rows[near] -= (combinations[:, few] * strengths[few]) @ (unfelt @ directions[few].T).T
 
     def _sensitivity(self, level: Level) -> tuple[float, float]:
         """Return the length of the gradient of a level's cost, and ‖W^½ A‖."""
@@ -280,13 +238,12 @@ class Proof:
 
         The last level has no `number`.
         """
-        rows, settled = self._hierarchy.rows, self._hierarchy.settled
-        near = near[rows.reach(near, free) > settled]
+        near = near[lengths(self._rows[near] @ free) > self._hierarchy.settled]
         held = np.isfinite(self._leak[near])  # by a level above: of either sign here
         steepness, strength = self._sensitivity(level)
         felt = shortfall.felt.felt
         follows = strength * float(np.linalg.norm(felt)) if felt.size else 0.0
-        look = self._looked(level, shortfall, near, held, follows, number)
+        look = self._looked(level, shortfall, free, near, held, follows, number)
         net = look.balance.net(held)
         counts = np.abs(net) > NOTHING * (look.size + np.abs(net).sum())
         pull = net / look.balance.sizes
@@ -296,7 +253,7 @@ class Proof:
         gap = 2.0 * float(np.abs(pull) @ np.where(back, np.minimum(self._leak[near], FAR), slack))
         gap += float(look.beyond @ look.beyond) + float(look.rounding @ look.rounding)
         gap += 2.0 * length((look.beyond / look.sizes)[felt.shape[1] :]) * self.scale
-        multipliers = np.zeros(len(rows.upper))
+        multipliers = np.zeros(len(self.slack))
         multipliers[near] = np.where(counts, pull, 0.0)
         first = near[~held & (multipliers[near] > 0.0)]
         self._leak[first] = gap / multipliers[first]
@@ -335,14 +292,14 @@ class Proof:
         of the others is worth. What levels above leave open moves all of them. Along what the level does not feel, but for
         rows that this does not move; or where the level's cost rises least.
         """
-        rows, slack = self._hierarchy.rows, np.abs(self.slack[carrying])
+        slack = np.abs(self.slack[carrying])
         # What would mend the levels above moves a row, which may be in its way: the way around it is longer.
         loose = (self._loose if self._loose > ROUNDING * self.scale else 0.0) + length(self._handed)
         room = np.where(slack > ROUNDING * self.scale, slack, 0.0) + loose
         worth = multipliers * room
         room = np.maximum(room, np.minimum((worth.sum() - worth) / multipliers, self.tolerance * self.scale))
-        moves = rows.reach(carrying, range_.unfelt) > self._hierarchy.settled
-        normals, far = rows.matrix[carrying], 0.0
+        normals, far = self._rows[carrying], 0.0
+        moves = lengths(normals @ range_.unfelt) > self._hierarchy.settled
         for among, way in ((moves, range_.unfelt), (~moves, free)):
             if among.any():
                 apart = float((slack[among] / lengths(normals[among] @ way)).sum())
@@ -355,6 +312,7 @@ class Proof:
         self,
         level: Level,
         shortfall: Shortfall,
+        free: Array,
         near: NDArray[np.int_],
         held: NDArray[np.bool_],
         follows: float,
@@ -368,6 +326,7 @@ class Proof:
         stated = noise > NOISE
         unit = noise if stated else ROUNDING
         for extended in (False, True):
+            turn = min(self._blur, self._decided.turn(free)) if extended else self._blur
             exact = extended and not level.is_soft
             basis, sizes = whitened(shortfall.felt, weakly=exact)
             strongest, unfelt_lengths = max(sizes[: felt.shape[1]], default=0.0), sizes[felt.shape[1] :]
@@ -381,9 +340,9 @@ class Proof:
                 gradient, blur = exact_gradient(solved, felt, self._u, len(gradient), blur)
                 directions = exact_basis(solved, basis, felt.shape[1])
             lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
-            balance = balanced(self._hierarchy.rows.matrix[near], directions, lacking, held, unit, extended=extended)
+            balance = balanced(self._rows[near], directions, lacking, held, unit, extended=extended)
             # Multipliers as large as that are made of what rounding leaves of rows that cancel each other.
-            turned = self._blur * sizes * float(np.abs(balance.net(held) / balance.sizes).sum())
+            turned = turn * sizes * float(np.abs(balance.net(held) / balance.sizes).sum())
             rounding = blur + balance.rounding + turned
             beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
             explained = max(float(np.linalg.norm(sizes * rounding)), 0.0 if extended else leaks)
