@@ -136,6 +136,14 @@ def solve(
 @click.option("--formulation", hidden=True, help="Old spelling: `--solver proxqp --formulation damped` is damped:proxqp.")
 @click.option("--weights", default="eq23", help="Weights of the arms: eq23 or eq24; or strict, levels in place of weights.")
 @click.option("--links", default=17, help="Number of links n.")
+@click.option(
+    "--kinematics", default="auto", help="Solve joint by joint (tree), by matrices (dense), or what is faster (auto)."
+)
+@click.option(
+    "--rank-tolerance",
+    type=float,
+    help="Singular values up to this fraction of the largest count as zero; long arms need less.  [default: 1e-4]",
+)
 @click.option("--link", default=6, help="The link k that touches the object first.")
 @click.option("--shape", default="cylinder", help="cylinder, capsule or sphere.")
 @click.option("--diameter", default=0.14, help="Diameter of the object [m].")
@@ -158,6 +166,8 @@ def wind(
     formulation: str | None,
     weights: str,
     links: int,
+    kinematics: str,
+    rank_tolerance: float | None,
     link: int,
     shape: str,
     diameter: float,
@@ -215,7 +225,9 @@ def wind(
         "contacts": contacts and not free,
         "max_steps": steps,
         "solver": solver,
-        "options": SolveOptions(rank_tolerance=RANK_TOLERANCE),
+        "options": SolveOptions(
+            rank_tolerance=RANK_TOLERANCE if rank_tolerance is None else rank_tolerance, kinematics=kinematics
+        ),
     }
     if scene is not None:
         parts = {"tip": _name_or_number(tip), "wound": _name_or_number(wound)}

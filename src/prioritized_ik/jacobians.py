@@ -1,6 +1,7 @@
 """Jacobians of many points on bodies at once, from MuJoCo's motion axes."""
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -26,17 +27,25 @@ class PointJacobians:
 
     Attributes:
         roots: the body at the root of each one's tree `(n,)`.
-        moving: which degrees of freedom move each body `(n, m)`.
     """
 
     def __init__(self, model: mujoco.MjModel, bodies: Sequence[int]) -> None:
+        self._model, self._bodies = model, tuple(bodies)
         self.roots = model.body_rootid[np.array(bodies, dtype=int)]
-        self.moving = np.array([_moving(model, body) for body in bodies], dtype=bool).reshape(len(bodies), model.nv)
-        self._still = ~self.moving[:, None]
+
+    @cached_property
+    def moving(self) -> NDArray[np.bool_]:
+        """Which degrees of freedom move each body `(n, m)`."""
+        moving = [_moving(self._model, body) for body in self._bodies]
+        return np.array(moving, dtype=bool).reshape(len(moving), self._model.nv)
+
+    @cached_property
+    def _still(self) -> NDArray[np.bool_]:
+        return ~self.moving[:, None]
 
     def moves(self, number: int) -> bool:
         """Return whether a joint moves the body of that number."""
-        return bool(self.moving[number].any())
+        return bool(_moving(self._model, self._bodies[number]).any())
 
     def at(self, data: mujoco.MjData, points: Array, chosen: NDArray[np.int_] | slice = slice(None)) -> Array:
         """Return the Jacobians `(k, 3, m)` of `points` `(k, 3)` [m] in the world. Needs `mj_comPos`.

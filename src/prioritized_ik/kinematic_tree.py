@@ -222,12 +222,12 @@ class PointRows:
         return sizes
 
     def sizes_of_torques(self, values: Array) -> Array:
-        """Return how large the terms are whose sum `transposed_times` of values of such sizes is `(m,)`, about."""
+        """Return the root of the sum of squares of the terms that `transposed_times` adds up `(m,)`, about."""
         m, moved = self.tree.joint_count, self.joints != BASE
         joints, sums = self.joints[moved], np.zeros((m, 2))
         for k, part in enumerate((self.moments, self.directions)):
-            sums[:, k] = np.bincount(joints, length_of(part[moved]) * np.abs(values[moved]), minlength=m)
-        carried = self.tree.beyond(sums)
+            sums[:, k] = np.bincount(joints, (length_of(part[moved]) * values[moved]) ** 2, minlength=m)
+        carried = np.sqrt(self.tree.beyond(sums))
         return carried[:, 0] * length_of(self.tree.angular) + carried[:, 1] * length_of(self.tree.linear_at_origin)
 
     @cached_property

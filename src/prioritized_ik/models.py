@@ -4,7 +4,9 @@ Links, their geoms and the sites at their ends are numbered from 1 as in the pap
 The arm starts at the origin and lies along +x when every joint is zero.
 """
 
+import copy
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -217,10 +219,25 @@ class WindingObject:
         )
 
 
+def arm_model(arm: Arm) -> mujoco.MjModel:
+    """Return the compiled model of an arm alone, compiled once: that takes as long as the cube of its links."""
+    return copy.copy(_arm_model(arm))
+
+
 def winding_model(arm: Arm, wound: WindingObject) -> mujoco.MjModel:
-    """Return the compiled model of `arm` and the object `wound`, whose geom is called `object`."""
+    """Return the model of `arm` and the object `wound`, whose geom is called `object`; compiled once, as by `arm_model`."""
+    return copy.copy(_winding_model(arm, wound.shape, wound.size, wound.position.tobytes(), wound.rotation.tobytes()))
+
+
+@lru_cache(maxsize=8)
+def _arm_model(arm: Arm) -> mujoco.MjModel:
+    return arm.spec().compile()
+
+
+@lru_cache(maxsize=8)
+def _winding_model(arm: Arm, shape: str, size: tuple[float, ...], position: bytes, rotation: bytes) -> mujoco.MjModel:
     spec = arm.spec()
-    wound.add_to(spec)
+    WindingObject(shape, size, np.frombuffer(position), np.frombuffer(rotation).reshape(3, 3)).add_to(spec)
     return spec.compile()
 
 

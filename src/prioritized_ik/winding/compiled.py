@@ -65,7 +65,10 @@ class Scene(ctypes.Structure):
 
 
 class Parts(NamedTuple):
-    """What a winding controller is made of; `links` are the bodies of the links `(n,)`, `margin` that of contact rows."""
+    """What a winding controller is made of.
+
+    `links` are the bodies of the links `(n,)`, `margin` is that of contact rows; `poses`, whether matrices are posed too.
+    """
 
     settings: Control
     data: mujoco.MjData
@@ -73,6 +76,7 @@ class Parts(NamedTuple):
     sensor: TouchSensor
     links: NDArray[np.int_]
     margin: float
+    poses: bool
 
 
 class CompiledLook:
@@ -82,20 +86,22 @@ class CompiledLook:
         core, functions = library().core, mujoco_functions()
         assert core is not None
         assert functions is not None
-        settings, data, arms, sensor, links, margin = parts
+        settings, data, arms, sensor, links, margin, poses = parts
         model = sensor.model
         n, m = arms.count, model.nv
+        rows = n if poses else 0  # of matrices
         self._core_observe, self._core_pose = core.core_scene_observe, core.core_scene_pose
         joints, dofs, places = limited_scalars(model)
         low, high = model.jnt_range[joints].T.copy()
         self._q, self._was = np.zeros(model.nq), np.zeros(n, dtype=bool)
         self._written = np.zeros(n * (3 * len(_VECTORS) + len(_NUMBERS)))
         self._touching, self._ends = np.zeros(n, dtype=bool), np.zeros(2, dtype=np.int32)
-        self._jacobian, self._bounds = np.zeros((3 * n, m)), np.zeros((2, m))
-        self._rows, self._sides, self._near = np.zeros((n, m)), np.zeros(n), np.zeros(n, dtype=np.int32)
+        self._jacobian, self._bounds = np.zeros((3 * rows, m)), np.zeros((2, m))
+        self._rows, self._sides, self._near = np.zeros((rows, m)), np.zeros(n), np.zeros(n, dtype=np.int32)
         self._joint_names = joint_names(model)
         self._wound = sensor.object_name
         self._row_names: dict[bytes, tuple[str, ...]] = {}
+        none = np.zeros(0, dtype=np.uint8)
         kept: dict[str, NDArray[Any]] = {
             "geoms": np.array(sensor.links, dtype=np.int32),
             "bodies": np.array(links, dtype=np.int32),
@@ -104,8 +110,8 @@ class CompiledLook:
             "end_roots": np.array(arms.jacobians.roots, dtype=np.int32),
             "range_dofs": np.array(dofs, dtype=np.int32),
             "range_places": np.array(places, dtype=np.int32),
-            "moves": sensor.jacobians.moving[:n].astype(np.uint8),
-            "end_moves": arms.jacobians.moving.astype(np.uint8),
+            "moves": sensor.jacobians.moving[:n].astype(np.uint8) if poses else none,
+            "end_moves": arms.jacobians.moving.astype(np.uint8) if poses else none,
             "offsets": np.array(arms.offsets),
             "half_lengths": np.array(sensor.half_lengths),
             "range_low": low,

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from prioritized_ik.late import Late
 from prioritized_ik.limits import CONTACT_MARGIN, contact_rows, joint_range_bounds, step_bounds
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows, trusted_level, trusted_problem
+from prioritized_ik.solvers.tree.step import goes_along_links
 from prioritized_ik.touch import Touch, update_contact
 from prioritized_ik.validation import Array, read_only
 from prioritized_ik.weights import diagonal_of_weights, winding_priorities, winding_weights
 from prioritized_ik.winding.chain import Chain
 from prioritized_ik.winding.compiled import Parts, compiled_look, parts_of, same_look
+from prioritized_ik.winding.on_tree import OnTree, level_on_tree
 from prioritized_ik.winding.plan import driven_arms, first_and_last_in_contact, plan
 from prioritized_ik.winding.settings import Control, WindingSettings
 
@@ -109,7 +111,9 @@ class ChainController:
         self.arms, self.sensor = chain.arms, chain.sensor
         self._groups: dict[int, tuple[RowGroup, ...]] = {}  # by k
         self._step_bounds = step_bounds(self.model, settings.max_step)
-        parts = Parts(settings, self.data, self.arms, self.sensor, chain.bodies, CONTACT_MARGIN)
+        along_links = not self.sensor.object_moves and goes_along_links(settings.options.kinematics, self.model.nv)
+        self._on_tree = OnTree(chain) if along_links else None
+        parts = Parts(settings, self.data, self.arms, self.sensor, chain.bodies, CONTACT_MARGIN, not along_links)
         self._compiled = compiled_look(parts) if chain.lies_along_x else None
         self._is_checked = False
         self._seen: Situation | None = None  # what the core saw last
@@ -160,6 +164,8 @@ class ChainController:
 
     def problem(self, q: Array, situation: Situation) -> IKProblem:
         """Return the problem of the step from `q`, where `situation` was observed last."""
+        if self._on_tree is not None:
+            return self._problem_on_tree(self._on_tree, q, situation)
         posed = None
         if self._compiled is not None and situation is self._seen:
             posed = self._compiled.pose(q)
@@ -174,6 +180,21 @@ class ChainController:
         return trusted_problem(
             levels, bounds if settings.limits else None, rows if settings.contacts else None, self.model.nv
         )
+
+    def _problem_on_tree(self, on_tree: OnTree, q: Array, situation: Situation) -> IKProblem:
+        settings, points, desired = self.settings, on_tree.end_points(situation.positions), situation.desired.reshape(-1)
+        levels = tuple(
+            level_on_tree(points, group.rows, desired, group.weights, group.name)
+            for group in self._groups_after(situation.last)
+        )
+        bounds, rows = None, None
+        if settings.limits:
+            bounds = joint_range_bounds(self.model, q).intersect(self._step_bounds)
+        if settings.contacts:
+            rows = on_tree.contact_rows(
+                situation.touch, points, CONTACT_MARGIN, settings.min_distance, settings.contact_gain
+            )
+        return trusted_problem(levels, bounds, rows, self.model.nv)
 
     def _posed(self, q: Array, situation: Situation) -> tuple[Array, Array, Bounds | None, Rows | None]:
         """Return J `(3 n, m)`, dX_v* `(3 n,)`, and bounds and contact rows where they are kept."""

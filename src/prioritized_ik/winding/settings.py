@@ -14,6 +14,7 @@ from prioritized_ik.models import (
     POSTURES,
     Arm,
     WindingObject,
+    arm_model,
     update_kinematics,
     winding_model,
 )
@@ -140,7 +141,7 @@ class WindingSettings(Control):
 
     def wound_object(self) -> WindingObject:
         """Return the object at its place, touching the middle of `link` in the initial posture."""
-        model = self.arm.spec().compile()
+        model = arm_model(self.arm)
         data = mujoco.MjData(model)
         update_kinematics(model, data, self.initial_posture())
         link = data.body(f"link_{self.link}")

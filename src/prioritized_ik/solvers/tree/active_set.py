@@ -12,7 +12,7 @@ import numpy as np
 from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
 from prioritized_ik.solvers.tree.elimination import Ending, Factors
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.tolerances import CERTIFIED, FLOOR, FREE, KEPT
+from prioritized_ik.tolerances import CERTIFIED, DRIFT, FLOOR, FREE, KEPT, REFINEMENTS
 from prioritized_ik.validation import Array, length
 
 SHARE = 0.3  # [of the worst violation] what is broken by less is left for later
@@ -63,18 +63,22 @@ class Search:
             return None
         fixed = active.side != 0
         values = np.where(active.side > 0, posed.upper, np.where(active.side < 0, posed.lower, 0.0))
-        sides = posed.sides
-        if not active.held.all():
-            sides = sides.copy()
-            sides[posed.parts[0]][~active.held] = 0.0
-        u, missed = factors.solve(values, sides, posed.reference)
+        u, missed = factors.solve(values, self._sides(posed.sides, active), posed.reference)
         if not np.isfinite(u).all() or missed > CERTIFIED * max(length(u), 1e-300) * posed.unit:
             return None
-        # Once more, for what the first time leaves.
-        more, _ = factors.solve(np.zeros(len(u)), posed.missing(u), posed.reference - u)
-        u = u + more
-        u[fixed] = values[fixed]
+        for _ in range(REFINEMENTS):  # for what the first time leaves
+            more, _ = factors.solve(np.zeros(len(u)), self._sides(posed.missing(u), active), posed.reference - u)
+            u = u + more
+            u[fixed] = values[fixed]
+            if length(more) <= DRIFT * length(u):
+                break
         return u
+
+    def _sides(self, sides: Array, active: ActiveSet) -> Array:
+        """Return right-hand sides `(k,)` without those of inequality rows that are not held, which may be infinite."""
+        kept = sides.copy()
+        kept[self.posed.parts[0]][~active.held] = 0.0
+        return kept
 
     def _factor(self, active: ActiveSet) -> bool:
         held = np.zeros(len(self.posed.level), dtype=bool)

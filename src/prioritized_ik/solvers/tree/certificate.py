@@ -18,8 +18,8 @@ from prioritized_ik.solvers.tree.posed import PosedOnTree
 from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAST_DEMAND, MARGIN, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, length
 
-ROUNDED = 4.0 * EPS  # [of a sum's terms, added up by size], that of a thousand terms included
-CLEARLY = 8.0  # [of rounding, which is counted generously]: a multiplier above this holds its row for the levels below
+ROUNDED = 8.0 * EPS  # [of the root of the sum of squares of a sum's terms]: a few times what thousands of terms leave
+PULLS = 4.0  # [of what rounding leaves]: a multiplier below minus this pulls, and a rest above it is one
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,6 @@ class TreeProof:
         self._leak_of_bounds, self._leak_of_rows = np.full(m, np.inf), np.full(c, np.inf)
         self._slack = posed.slack(u)
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
-        self._off = 0.0  # by how much it is off at these, in what they decide
         self._missing = posed.missing(u)
         self.levels = list(self._prove())
 
@@ -126,44 +125,41 @@ class TreeProof:
 
         if is_last:
             demand = length(u) + length(posed.reference)
-            strength, cost, terms, inverse = 1.0, length(gradient), demand, np.sqrt(len(u))
+            strength, cost = 1.0, length(gradient)
         else:
             part = posed.parts[number]
             strength, cost = posed.strength(number), length(self._missing[part])
             terms = posed.demand(number) + strength * length(u)
             demand = max(posed.demand(number), cost, LEAST_DEMAND * terms)
-            inverse = self._inverse_length(number)
         noise = self._noise(number, pulls, is_last=is_last)
         # Along what a level does not feel its gradient is nothing but rounding: more is a rank gone wrong. So is what its
         # multipliers leave along joints that levels above decide: more is a multiplier gone wrong.
         astray = np.where(factors.owner < number, rest, left)
         astray[factors.fixed | (factors.owner == number)] = 0.0
-        unfelt = length(np.maximum(np.abs(astray) - CLEARLY * noise, 0.0))
+        unfelt = length(np.maximum(np.abs(astray) - PULLS * noise, 0.0))
         steepest = float(np.abs(factors.pivot[~factors.fixed & (factors.owner == number)]).max(initial=0.0))
         excess = length(moved)
         if unfelt:  # how far it goes if it is as flat as `UNFELT` allows
             excess += unfelt / (UNFELT * (steepest or strength)) ** 2
-        explained = max(ROUNDING * terms * inverse, EPS * strength * inverse**2 * cost * (not is_last))
+        explained = self._feigned(number, noise)
         gap = float(decided @ decided) + 2.0 * unfelt * self.scale
         gap += self._slackness(bounds, rows)
         held_bounds, held_rows = np.isfinite(self._leak_of_bounds), np.isfinite(self._leak_of_rows)
-        wrong_bounds = (bounds < -noise) & ~held_bounds
+        of_bounds = self._noise_of_bounds(number, noise)
+        wrong_bounds = (bounds < -PULLS * of_bounds) & ~held_bounds
         holders = ~factors.fixed & (factors.owner == HELD)  # joints that the held rows decide
         noise_of_rows = float((noise[holders] / np.abs(factors.pivot[holders])).max(initial=0.0))
-        wrong_rows = (rows < -noise_of_rows) & ~held_rows
-        first_bounds = (bounds > CLEARLY * noise) & ~held_bounds
-        first_rows = (rows > CLEARLY * noise_of_rows) & ~held_rows
+        wrong_rows = (rows < -PULLS * noise_of_rows) & ~held_rows
+        first_bounds = (bounds > of_bounds) & ~held_bounds
+        first_rows = (rows > noise_of_rows) & ~held_rows
         self._leak_of_bounds[first_bounds] = gap / bounds[first_bounds]
         self._leak_of_rows[first_rows] = gap / rows[first_rows]
         loosened = float(np.abs(self._slack[first_rows]).sum()) if not is_last else 0.0
-        follows = strength * inverse
-        off = self._off * (1.0 + (0.0 if is_last else follows))
-        above = max(self._above, off)
+        above = self._above
         carried = 2.0 * strength * cost * above + (strength * above) ** 2
         self._above = max(self._above, explained, loosened)
-        self._off = off + (excess if excess > CERTIFIED * MARGIN * self.scale else 0.0)
         return TreeLevelProof(
-            gap, demand, excess, max(explained, loosened, self._off), carried, bounds, rows, wrong_bounds, wrong_rows
+            gap, demand, excess, max(explained, loosened), carried, bounds, rows, wrong_bounds, wrong_rows
         )
 
     def _noise(self, number: int, pulls: Array, *, is_last: bool) -> Array:
@@ -173,7 +169,24 @@ class TreeProof:
             part = posed.parts[number]
             sizes[part] += posed.roots[part] * (np.abs(self._missing[part]) + self._terms[part])
         noise = ROUNDED * posed.rows.sizes_of_torques(sizes)
-        return noise + ROUNDED * (np.abs(self._u) + np.abs(posed.reference)) if is_last else noise
+        if is_last:
+            noise = noise + ROUNDED * (np.abs(self._u) + np.abs(posed.reference))
+        return noise
+
+    def _noise_of_bounds(self, number: int, noise: Array) -> Array:
+        """Return how uncertain multipliers of bounds are `(m,)`, given the `noise` along each joint `(m,)`.
+
+        Those of rows of levels above are as uncertain as what they balance, and so is what they do to joints at a bound.
+        """
+        posed, factors = self._posed, self._factors
+        free = ~factors.fixed & (factors.owner < number)
+        if not free.any():
+            return noise
+        owner, unsure = factors.owner[free], noise[free] / np.abs(factors.pivot[free])
+        typical = np.bincount(owner, unsure, minlength=number) / np.maximum(np.bincount(owner, minlength=number), 1)
+        above = posed.level < number
+        pulls = np.where(above, typical[np.where(above, posed.level, 0)], 0.0) * posed.roots
+        return noise + posed.rows.sizes_of_torques(pulls)
 
     @cached_property
     def _terms(self) -> Array:
@@ -190,11 +203,11 @@ class TreeProof:
         at_bounds = np.where(back_bounds, np.minimum(self._leak_of_bounds, FAR), 0.0)  # bounds are kept to the last bit
         return 2.0 * float(np.abs(rows) @ np.where(back_rows, leak_of_rows, slack) + np.abs(bounds) @ at_bounds)
 
-    def _inverse_length(self, number: int) -> float:
-        """Return about ‖R⁻¹‖, in the sense of Frobenius, of a level: what random signs make of it."""
-        decides = ~self._factors.fixed & (self._factors.owner == number)
-        signs = np.where(np.arange(len(decides)) * 7919 % 13 < 6, 1.0, -1.0)
-        return length(self._factors.displacement(number, np.where(decides, signs, 0.0)))
+    def _feigned(self, number: int, noise: Array) -> float:
+        """Return how long a step rounding by `noise` `(m,)` can feign at a level, its signs at random."""
+        factors, signs = self._factors, np.where(np.arange(len(noise)) * 7919 % 13 < 6, 1.0, -1.0)
+        left = factors.reduced(number, np.where(factors.fixed, 0.0, noise * signs))
+        return length(factors.displacement(number, np.where(~factors.fixed & (factors.owner == number), left, 0.0)))
 
     @cached_property
     def violation(self) -> float:

@@ -25,11 +25,14 @@ KINEMATICS = ("auto", "tree", "dense")  # see `SolveOptions.kinematics`
 WORTHWHILE = 200
 
 
+def goes_along_links(kinematics: str, joints: int) -> bool:
+    """Whether problems of so many joints are to be solved joint by joint, see `SolveOptions.kinematics`."""
+    return kinematics == "tree" or (kinematics == "auto" and joints >= WORTHWHILE)
+
+
 def is_worthwhile(problem: IKProblem, kinematics: str) -> bool:
-    """Whether a problem is to be solved joint by joint, if it can be."""
-    if kinematics == "dense" or (kinematics == "auto" and problem.joint_count < WORTHWHILE):
-        return False
-    return is_on_tree(problem)
+    """Whether a problem is to be solved joint by joint, and can be."""
+    return goes_along_links(kinematics, problem.joint_count) and is_on_tree(problem)
 
 
 def factors_of(rows: TreeRowsOnJoints) -> Factors:
