@@ -52,7 +52,13 @@ TESTS = {
         "a_core_that_sees_something_else_is_not_asked_again_and_says_so",
         "along_a_winding_the_two_forms_see_and_pose_the_same",
     ),
+    "curvature": (
+        "a_humanoid_on_a_random_walk_of_2000_steps_keeps_off_itself_and_the_ground",
+        "our_own_humanoid_with_boxes_for_feet_does_too",
+        "steps_of_first_order_do_not_keep_off",
+    ),
     "episode": (
+        "an_arm_in_contact_from_k_on_has_wound",
         "a_saved_episode_loads_bit_for_bit",
         "an_episode_of_an_unknown_solver_does_not_start",
         "the_problem_of_a_step_names_joints_and_links",
@@ -60,6 +66,8 @@ TESTS = {
         "saving_twice_replaces_the_file",
     ),
     "every_backend": (
+        "a_solvers_own_constrained_step_keeps_every_row",
+        "a_solvers_own_free_step_is_the_closed_form",
         "the_constrained_step_is_the_same_to_the_last_bit",
         "the_free_step_is_the_same_to_the_last_bit",
         "the_steps_to_judge_by_are_free_and_constrained_as_they_should_be",
@@ -86,6 +94,8 @@ TESTS = {
         "other_units_give_the_same_step_and_the_same_status",
     ),
     "lexicographic": (
+        "steps_scale_with_the_time_step",
+        "the_times_of_a_solve_are_inside_and_outside_the_backend_and_of_the_polish",
         "a_closed_form_that_meets_every_row_is_the_answer_bit_for_bit",
         "the_closed_form_is_no_answer_where_it_breaks_a_row",
         "weights_however_far_apart_are_nearly_two_levels_and_no_obstacle",
@@ -159,7 +169,15 @@ TESTS = {
         "pressing_for_600_steps_goes_no_deeper_than_a_tenth_of_a_millimetre",
         "without_the_way_back_a_robot_that_starts_deep_stays_deep",
     ),
-    "stages": ("on_recorded_steps_the_stages_cost_is_that_of_the_decomposed_jacobian",),
+    "stages": (
+        "on_recorded_steps_the_stages_cost_is_that_of_the_decomposed_jacobian",
+        "standing_still_is_feasible_in_every_first_stage",
+        "the_first_stages_variables_reach_every_joint_step",
+    ),
     "subspaces": ("of_the_random_cones_some_hold_no_row_some_a_few_and_some_all",),
+    "tree_step": (
+        "longer_arms_have_the_same_steps_too",
+        "steps_along_the_links_are_those_of_matrices",
+    ),
     "witness": ("the_library_and_the_witness_agree_on_constrained_winding_steps",),
 }
