@@ -87,6 +87,28 @@ def test_multipliers_balance_a_gradient_along_all_that_levels_above_decide(seed)
         np.testing.assert_allclose(null @ rest[~fixed], null @ (gradient[~fixed] + above.T @ best), atol=1e-8)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_singular_values_below_a_cut_are_counted_at_every_level(seed):
+    rng = np.random.default_rng(seed)
+    tree = ball_chain(rng, 8, bend=10.0 ** rng.uniform(-3, 0)) if seed % 2 else random_tree(rng, 24, branching=0.2)
+    problem = random_problem(rng, tree, 1 + seed % 3, metric=seed % 5 == 1, weights=1.0)
+    posed, m = PosedOnTree(problem), problem.joint_count
+    forms = [Elimination(posed.on_joints)]
+    if library().core is not None:
+        forms.append(CompiledElimination(posed.on_joints))
+    assert all(form.factor(*_nothing(posed)) is Ending.CLEAR for form in forms)
+    free = np.eye(m)
+    for number, level in enumerate(problem.in_metric.levels, 1):
+        _, values, directions = np.linalg.svd(level.matrix @ free)
+        values = np.append(values, np.zeros(m))[: free.shape[1]]
+        largest = np.linalg.norm(level.matrix, 2)
+        assert 0.99 * largest <= posed.norm_of_matrix(number) <= largest * (1.0 + 1e-12)
+        for cut in largest * 10.0 ** rng.uniform(-5, 0, size=4):
+            expected = np.count_nonzero(values < cut)
+            assert [form.count_below(number, cut) for form in forms] == [expected] * len(forms)
+        free = free @ directions[np.count_nonzero(values > 1e-10 * largest) :].T
+
+
 def test_held_rows_are_kept_whatever_the_levels_want():
     problem = _random(1)
     posed = PosedOnTree(problem)
@@ -100,15 +122,12 @@ def test_held_rows_are_kept_whatever_the_levels_want():
 def test_rows_that_contradict_each_other_are_reported_as_missed():
     rng = np.random.default_rng(2)
     tree = ball_chain(rng, 4)
-    point = PointRows(tree, [5, 5], np.ones((2, 3)), [[1.0, 0.0, 0.0]] * 2)
     posed = PosedOnTree(random_problem(rng, tree))
     rows = posed.on_joints
-    twice = type(rows)(
-        rows.tree, rows.levels, np.r_[5, 5], np.r_[HELD, HELD], np.r_[rows.covectors[:1], rows.covectors[:1]]
-    )
+    same = np.concatenate([rows.covectors[:1]] * 2)
+    twice = type(rows)(rows.tree, rows.levels, np.array([5, 5]), np.array([HELD, HELD]), same, same)
     elimination = Elimination(twice)
     elimination.factor(np.zeros(tree.joint_count, dtype=bool), np.ones(2, dtype=bool))
-    assert len(point) == 2
     assert elimination.solve(np.zeros(tree.joint_count), np.array([1.0, -1.0]), posed.reference)[1] > 0.5
 
 

@@ -14,7 +14,7 @@ from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.solvers.tree.active_set import Search
 from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.solvers.tree.step import PATH, factors_of, tree_step
+from prioritized_ik.solvers.tree.step import PATH, factors_of
 
 ALONG_LINKS, BY_MATRICES = SolveOptions(kinematics="tree"), SolveOptions(kinematics="dense")
 
@@ -259,9 +259,39 @@ def test_the_certificate_names_the_rows_that_hold_a_level():
     assert set(step.certificate.held_by[0]) == set(dense.certificate.held_by[0])
 
 
-def test_a_rank_tolerance_that_may_cut_is_left_to_matrices():
-    problem = _random(1)
-    assert tree_step(problem, 0.5) is None
+def _spread() -> tuple[IKProblem, float, int]:
+    """A chain, its smallest singular value as a fraction of the largest, which no joint shows, and its rank."""
+    rng = np.random.default_rng(6)
+    problem = random_problem(rng, ball_chain(rng, 8, bend=0.6))
+    values = np.linalg.svd(problem.levels[0].points.matrix, compute_uv=False)
+    values = values[values > 1e-10 * values[0]]
+    return problem, float(values[-1] / values[0]), len(values)
+
+
+@pytest.mark.parametrize(("part", "path"), [(0.9, True), (1.1, False)])
+def test_a_rank_tolerance_that_cuts_what_no_joint_shows_is_left_to_matrices(part, path):
+    problem, weakest, rank = _spread()
+    tolerance = part * weakest
+    options = [SolveOptions(kinematics=form, rank_tolerance=tolerance) for form in ("tree", "dense")]
+    step, dense = (_step(problem, option) for option in options)
+    assert (step.path == PATH) is path
+    assert step.status is dense.status
+    assert (dense.levels[0].rank == rank) is path
+    np.testing.assert_allclose(step.dtheta, dense.dtheta, atol=SAME * np.linalg.norm(dense.dtheta))
+
+
+@pytest.mark.parametrize("first", range(0, 40, 10))
+def test_with_a_rank_tolerance_steps_are_those_of_matrices(first):
+    told = 0
+    for seed in range(first, first + 10):
+        problem, tolerance = _random(seed), 10.0 ** -(2 + seed % 4)
+        step, dense = (
+            _step(problem, SolveOptions(kinematics=form, rank_tolerance=tolerance)) for form in ("tree", "dense")
+        )
+        told += step.path == PATH
+        assert step.status is dense.status, seed
+        np.testing.assert_allclose(step.dtheta, dense.dtheta, atol=SAME * np.linalg.norm(dense.dtheta), err_msg=str(seed))
+    assert told >= 2  # the others have singular values that the tolerance cuts
 
 
 def test_options_travel(proven):

@@ -133,4 +133,13 @@ EXPORTED int core_tree_ask(prioritized_ik::TreeElimination* tree, int question, 
     }
 }
 
+// -2 if memory runs out, as -1 is an answer.
+EXPORTED int core_tree_count_below(prioritized_ik::TreeElimination* tree, int level, const double* given, double tau) {
+    try {
+        return tree->count_below(level, given, tau);
+    } catch (const std::bad_alloc&) {
+        return -2;
+    }
+}
+
 EXPORTED double core_tree_memory(const prioritized_ik::TreeElimination* tree) { return double(tree->memory()); }

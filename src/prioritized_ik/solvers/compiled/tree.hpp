@@ -145,6 +145,51 @@ class TreeElimination {
         });
     }
 
+    // How many singular values of a level's rows, as `given` (k, 6), in the directions that the levels above leave, are below
+    // `tau`; -1 if one is so near that rounding decides. The inertia of A^T A - tau^2, by the same elimination.
+    int count_below(int level, const double* given, double tau) {
+        constexpr int ALL = TWIST * TWIST;
+        constexpr double NEAR = 1e-10;
+        inertia_.assign(size_t(m_) * ALL, 0.0);
+        const double square = tau * tau;
+        int count = 0;
+        for (int j = m_ - 1; j >= 0; j--) {
+            double *S = inertia_.data() + size_t(j) * ALL, Sg[TWIST];
+            const Step& step = step_of(j, level);
+            for (int i = step.own; i < step.own_end; i++) add_square(given + size_t(TWIST) * sorted_[i], 1.0, S);
+            const double* g = in_.axes + size_t(TWIST) * j;
+            if (!in_.fixed[j]) {
+                double along = 0.0;
+                for (int a = 0; a < TWIST; a++) along += (Sg[a] = product(S + a * TWIST, g)) * g[a];
+                if (in_.owner[j] < level) {  // u = -p.s / rho
+                    const double *p = before(j), scale = 1.0 / in_.pivot[j];
+                    for (int a = 0; a < TWIST; a++)
+                        for (int b = 0; b < TWIST; b++)
+                            S[a * TWIST + b] -= scale * (p[a] * Sg[b] + Sg[a] * p[b]);
+                    add_square(p, (along - square) * scale * scale, S);
+                } else {
+                    const double pivot = along - square;
+                    if (abs(pivot) <= NEAR * (abs(along) + square)) return -1;
+                    count += pivot < 0.0;
+                    add_square(Sg, -1.0 / pivot, S);
+                }
+            }
+            if (in_.parents[j] < 0) continue;
+            // X^T S X, as for rows, from both sides.
+            const double* arm = in_.arms + size_t(3) * j;
+            double* to = inertia_.data() + size_t(in_.parents[j]) * ALL;
+            double turned[ALL];
+            for (int a = 0; a < TWIST; a++) move_row(S + a * TWIST, arm, turned + a * TWIST);
+            for (int b = 0; b < TWIST; b++) {
+                double column[TWIST], moved[TWIST];
+                for (int a = 0; a < TWIST; a++) column[a] = turned[a * TWIST + b];
+                move_row(column, arm, moved);
+                for (int a = 0; a < TWIST; a++) to[a * TWIST + b] += moved[a];
+            }
+        }
+        return count;
+    }
+
     size_t memory() const {
         return sizeof(double) * (tape_.capacity() + slots_.capacity() + before_.capacity() + left_.capacity() + carried_.capacity()) +
                sizeof(Step) * steps_.capacity();
@@ -176,6 +221,19 @@ class TreeElimination {
         double sum = 0.0;
         for (int i = 0; i < TWIST; i++) sum += row[i] * axis[i];
         return sum;
+    }
+
+    // S += factor x x^T
+    static void add_square(const double* x, double factor, double* S) {
+        for (int a = 0; a < TWIST; a++)
+            for (int b = 0; b < TWIST; b++) S[a * TWIST + b] += factor * x[a] * x[b];
+    }
+
+    static void move_row(const double* row, const double* a, double* to) {
+        to[0] = row[0] + a[1] * row[5] - a[2] * row[4];
+        to[1] = row[1] + a[2] * row[3] - a[0] * row[5];
+        to[2] = row[2] + a[0] * row[4] - a[1] * row[3];
+        to[3] = row[3], to[4] = row[4], to[5] = row[5];
     }
 
     static void reflect_values(const double* v, double factor, double* y, int n) {
@@ -405,7 +463,7 @@ class TreeElimination {
     TreeInput in_{};
     int m_ = 0, last_ = 0, most_rows_ = 0, ending_ = CLEAR;
     std::vector<Step> steps_;
-    std::vector<double> tape_, slots_, rows_, scratch_, sizes_, before_, left_, q_, carried_;
+    std::vector<double> tape_, slots_, rows_, scratch_, sizes_, before_, left_, q_, carried_, inertia_;
     std::vector<int> own_, next_own_, sorted_, first_child_, last_child_, next_child_, slot_of_, free_;
 };
 

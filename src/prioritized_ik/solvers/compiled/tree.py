@@ -89,6 +89,12 @@ class CompiledElimination(Factors):
         """See `Elimination.displacement`."""
         return self._asked(DISPLACEMENT, level, whitened, len(whitened))
 
+    def count_below(self, level: int, tau: float) -> int | None:
+        """See `Elimination.count_below`."""
+        given = np.ascontiguousarray(self.rows.given)
+        count: int = self._core.core_tree_count_below(self._address, level, given.ctypes.data, tau)
+        return None if count == -1 else self._checked(count)
+
     @property
     def memory(self) -> float:
         """What the core holds for it [B]."""

@@ -18,7 +18,8 @@ What is answered, and what is left to the dense form:
 | start from the last step's rows | yes |
 | levels or rows of a matrix among them, damping, soft inequalities, equalities | no |
 | a metric that couples joints, `noise` above the default | no |
-| a rank tolerance | no |
+| a rank tolerance that cuts zeros alone (what is between is counted, in linear time) | yes |
+| a rank tolerance that cuts more | no |
 | what a level feels of a joint neither clearly zero nor clearly not | no |
 | rows in conflict, or a certificate without margin | no |
 """

@@ -12,7 +12,7 @@ import numpy as np
 from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
 from prioritized_ik.solvers.tree.elimination import Ending, Factors
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.tolerances import CERTIFIED, DRIFT, FLOOR, FREE, KEPT, REFINEMENTS
+from prioritized_ik.tolerances import CERTIFIED, CUT_MARGIN, DRIFT, FLOOR, FREE, KEPT, REFINEMENTS
 from prioritized_ik.validation import Array, length
 
 SHARE = 0.3  # [of the worst violation] what is broken by less is left for later
@@ -55,6 +55,29 @@ class Search:
         """Return the set of no row but frozen joints."""
         side = np.where(self._frozen, 1, 0).astype(np.int8)
         return ActiveSet(side, np.zeros(len(self.posed.problem.rows.upper), dtype=bool))
+
+    def has_clear_ranks(self, rank_tolerance: float) -> bool:
+        """Whether all singular values that a rank tolerance is to cut are zeros, which have been cut, at every level.
+
+        A value in between has its singular vectors in many joints: the dense form cuts it.
+        """
+        posed, factors = self.posed, self._factors
+        if not self._factor(self.nothing()):
+            return False
+        for number in range(1, len(posed.parts)):
+            zeros = int(np.count_nonzero(factors.owner > number))
+            most = length(posed.lengths[posed.parts[number]])  # of the squares of all singular values
+            if self._cuts_zeros_alone(number, zeros, rank_tolerance * most):
+                continue
+            largest = posed.norm_of_matrix(number)
+            # The power method ends below the largest, by less than a hundredth.
+            cuts = rank_tolerance * largest * (1.0 - CUT_MARGIN), rank_tolerance * min(most, 1.01 * largest)
+            if not all(self._cuts_zeros_alone(number, zeros, cut) for cut in cuts):
+                return False
+        return True
+
+    def _cuts_zeros_alone(self, number: int, zeros: int, cut: float) -> bool:
+        return self._factors.count_below(number, cut) == zeros
 
     def face(self, active: ActiveSet) -> Array | None:
         """Return the step u `(m,)` where the `active` bounds and rows hold as equalities; None if that is not clear."""

@@ -32,6 +32,7 @@ from prioritized_ik.tolerances import TREE_CLEAR, TREE_ZERO
 from prioritized_ik.validation import Array
 
 TWIST = 6
+NEAR = 1e-10  # [of its terms] a pivot of the inertia this small may have either sign
 HELD = 0  # the level of rows that are held; the problem's are numbered from 1, and the last level comes after them
 
 
@@ -45,6 +46,7 @@ class TreeRowsOnJoints:
         joints: the last joint that moves each row's point `(k,)`; none stands still.
         level: of each `(k,)`, `HELD` or from 1 on.
         covectors: each row on its joint's twist, moment about the anchor before force, weighted `(k, 6)`.
+        given: the same without weights `(k, 6)`.
     """
 
     tree: KinematicTree
@@ -52,6 +54,7 @@ class TreeRowsOnJoints:
     joints: Numbers
     level: Numbers
     covectors: Array
+    given: Array
 
     @property
     def last(self) -> int:
@@ -147,6 +150,14 @@ class Factors(ABC):
 
         With them the gradient is balanced along joints that levels above decide: g + Σ rows of these, weighted, times
         multipliers.
+        """
+
+    @abstractmethod
+    def count_below(self, level: int, tau: float) -> int | None:
+        """Return how many singular values of a level's matrix, without weights, are below `tau`; None if that is not clear.
+
+        In the directions that the levels above leave, zeros included: Sylvester's inertia of AᵀA - τ² 1, by one more
+        elimination. Local pivots cannot see a weak direction that is spread over many joints; this does.
         """
 
     @abstractmethod
@@ -302,6 +313,28 @@ class Elimination(Factors):
                     at += count
                 out[step.own] = z[at:]
         return out
+
+    def count_below(self, level: int, tau: float) -> int | None:
+        """See `Factors.count_below`."""
+        parents, m, count = self.rows.tree.parents, len(self.pivot), 0
+        inertia = np.zeros((m, TWIST, TWIST))  # s S s is what is least of ‖A u‖² - τ² ‖u‖² over the joints beyond
+        for j in reversed(range(m)):
+            given, axis, s = self.rows.given[self.steps[j][level].own], self.axes[j], inertia[j]
+            s = s + given.T @ given
+            along = axis @ s @ axis
+            if not self.fixed[j] and self.owner[j] < level:
+                before = self.before[j] / self.pivot[j]
+                follows = np.eye(TWIST) - np.outer(axis, before)
+                s = follows.T @ s @ follows - tau**2 * np.outer(before, before)
+            elif not self.fixed[j]:
+                pivot = along - tau**2
+                if abs(pivot) <= NEAR * (abs(along) + tau**2):
+                    return None
+                count += pivot < 0.0
+                s = s - np.outer(s @ axis, s @ axis) / pivot
+            if parents[j] != BASE:
+                inertia[parents[j]] += _moved_rows(_moved_rows(s, self.arms[j]).T, self.arms[j])
+        return int(count)
 
     def displacement(self, level: int, whitened: Array) -> Array:
         """See `Factors.displacement`."""

@@ -11,6 +11,8 @@ from prioritized_ik.tolerances import NOISE
 from prioritized_ik.tree_problem import TreeLevel, TreeRows, tree_of
 from prioritized_ik.validation import Array, length
 
+POWERS = 30  # of the power method
+
 CLEAR_ROW = 1e-5  # [of the longest row]: lengths are differences of squares, right to half of the digits
 
 
@@ -103,8 +105,9 @@ class PosedOnTree:
         covectors = np.empty((len(rows), 6))
         covectors[:, :3] = np.cross(levers, rows.directions)
         covectors[:, 3:] = rows.directions
-        covectors *= (self.roots * unit)[:, None]
-        return TreeRowsOnJoints(scaled, len(self.parts) - 1, np.maximum(rows.joints, 0), self.level, covectors)
+        covectors *= np.where(rows.joints == BASE, 0.0, unit)[:, None]
+        weighted = covectors * self.roots[:, None]
+        return TreeRowsOnJoints(scaled, len(self.parts) - 1, np.maximum(rows.joints, 0), self.level, weighted, covectors)
 
     @cached_property
     def sides(self) -> Array:
@@ -132,6 +135,19 @@ class PosedOnTree:
     def demand(self, number: int) -> float:
         """Return the length of what a level asks for; levels are numbered from 1."""
         return length(self.sides[self.parts[number]])
+
+    def norm_of_matrix(self, number: int) -> float:
+        """Return the largest singular value of a level's matrix, without weights, from below, by the power method."""
+        rows = self.rows[self.parts[number]]
+        u, largest = rows.transposed_times(self.lengths[self.parts[number]]), 0.0
+        for _ in range(POWERS):
+            size = length(u)
+            if size == 0.0:
+                return 0.0
+            moved = rows.times(u / size)
+            largest = length(moved)
+            u = rows.transposed_times(moved)
+        return largest
 
     def strength(self, number: int) -> float:
         """Return ‖W^½ A‖ of a level."""

@@ -57,13 +57,13 @@ def tree_step(
         method: name of who solves.
     """
     started = perf_counter()
-    if rank_tolerance:
-        return None
     posed = PosedOnTree(problem)
     if not posed.has_clear_rows:
         return None
     names, numbers = numbered_names(problem.bounds.names, problem.rows.names, ())
     search = Search(posed, factors_of(posed.on_joints))
+    if rank_tolerance and not search.has_clear_ranks(rank_tolerance):
+        return None
     found = _found(search, _guess(search, rows, names, numbers), question)
     if found is None:
         return None
