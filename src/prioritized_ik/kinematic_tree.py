@@ -90,7 +90,7 @@ class KinematicTree:
     @cached_property
     def linear_at_origin(self) -> Array:
         """Velocity of the world's origin, v - ω × c, if each joint carried it `(m, 3)`."""
-        return self.linear - _crossed(self.angular, self.anchors)
+        return self.linear - crossed(self.angular, self.anchors)
 
     def twists(self, dtheta: Array) -> tuple[Array, Array]:
         """Return ω `(m, 3)` and the world's origin's velocity `(m, 3)` of what each joint carries, at `dtheta` `(m,)`."""
@@ -191,7 +191,7 @@ class PointRows:
     @cached_property
     def moments(self) -> Array:
         """P × n `(r, 3)`: what the row makes of a turn about the world's origin."""
-        return _crossed(self.points, self.directions)
+        return crossed(self.points, self.directions)
 
     def times(self, dtheta: Array) -> Array:
         """Return J dθ `(r,)`."""
@@ -247,7 +247,7 @@ def length_of(rows: Array) -> Array:
     return np.sqrt(np.einsum("ij,ij->i", rows, rows))
 
 
-def _crossed(a: Array, b: Array) -> Array:
+def crossed(a: Array, b: Array) -> Array:
     """Return a × b, row by row `(k, 3)`; `numpy.cross` takes several times as long."""
     out = np.empty_like(a)
     out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]

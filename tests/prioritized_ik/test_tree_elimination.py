@@ -64,6 +64,15 @@ def test_the_compiled_elimination_does_what_the_python_one_does(seed):
         np.testing.assert_allclose(*moved, atol=EXACT * max(1.0, np.abs(moved[0]).max()))
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_lengths_of_rows_are_those_of_the_matrix(seed):
+    posed = PosedOnTree(_random(seed))
+    for form in (Elimination, CompiledElimination) if library().core is not None else (Elimination,):
+        np.testing.assert_allclose(
+            form(posed.on_joints).row_lengths(), np.linalg.norm(posed.rows.matrix, axis=1), atol=1e-12
+        )
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_multipliers_balance_a_gradient_along_all_that_levels_above_decide(seed):
     problem, rng = _random(seed), np.random.default_rng(seed)

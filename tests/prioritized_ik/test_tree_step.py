@@ -14,7 +14,7 @@ from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.solvers.tree.active_set import Search
 from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.solvers.tree.step import PATH, factors_of
+from prioritized_ik.solvers.tree.step import PATH
 
 ALONG_LINKS, BY_MATRICES = SolveOptions(kinematics="tree"), SolveOptions(kinematics="dense")
 
@@ -147,8 +147,8 @@ class _Proven:
     def __init__(self) -> None:
         rng = np.random.default_rng(5)
         self.posed = PosedOnTree(random_problem(rng, ball_chain(rng, 12), 2, contacts=6, bound=0.3, weights=1.0))
-        self.factors = factors_of(self.posed.on_joints)
-        found = Search(self.posed, self.factors).optimum(Search(self.posed, self.factors).nothing())
+        self.factors = self.posed.factors
+        found = Search(self.posed).optimum(Search(self.posed).nothing())
         assert found is not None
         self.u, self.active, self.scale = found.u, found.active, found.proof.scale
         assert np.count_nonzero(self.active.side) > 2

@@ -133,6 +133,15 @@ EXPORTED int core_tree_ask(prioritized_ik::TreeElimination* tree, int question, 
     }
 }
 
+EXPORTED int core_tree_row_lengths(const prioritized_ik::TreeInput* input, const double* given, double* out) {
+    try {
+        prioritized_ik::row_lengths(*input, given, out);
+        return 0;
+    } catch (const std::bad_alloc&) {
+        return -1;
+    }
+}
+
 // -2 if memory runs out, as -1 is an answer.
 EXPORTED int core_tree_count_below(prioritized_ik::TreeElimination* tree, int level, const double* given, double tau) {
     try {

@@ -19,6 +19,38 @@ struct TreeInput {
     double* pivot;                          // out (m)
 };
 
+// Length of each row's row of J (k), rows on twists being `given` (k, 6): all squares along the joints that move its point.
+inline void row_lengths(const TreeInput& in, const double* given, double* out) {
+    constexpr int N = 6;
+    std::vector<double> grams(size_t(in.joints) * N * N);  // by joint, of what it and those before it make of its twist
+    for (int j = 0; j < in.joints; j++) {
+        double* G = grams.data() + size_t(j) * N * N;
+        const double *a = in.arms + size_t(3) * j, *g = in.axes + size_t(N) * j;
+        if (in.parents[j] >= 0) {
+            copy(grams.data() + size_t(in.parents[j]) * N * N, G, N * N);
+            if (a[0] != 0.0 || a[1] != 0.0 || a[2] != 0.0)  // v + w x a, in columns and in rows
+                for (int side = 0; side < 2; side++) {
+                    const int across = side ? 1 : N, along = side ? N : 1;
+                    for (int k = 0; k < N; k++) {
+                        double* x = G + k * across;
+                        x[3 * along] += x[along] * a[2] - x[2 * along] * a[1];
+                        x[4 * along] += x[2 * along] * a[0] - x[0] * a[2];
+                        x[5 * along] += x[0] * a[1] - x[along] * a[0];
+                    }
+                }
+        }
+        for (int p = 0; p < N; p++)
+            for (int q = 0; q < N; q++) G[p * N + q] += g[p] * g[q];
+    }
+    for (int i = 0; i < in.rows; i++) {
+        const double *c = given + size_t(N) * i, *G = grams.data() + size_t(in.row_joints[i]) * N * N;
+        double sum = 0.0;
+        for (int p = 0; p < N; p++)
+            for (int q = 0; q < N; q++) sum += c[p] * G[p * N + q] * c[q];
+        out[i] = sqrt(max(sum, 0.0));
+    }
+}
+
 class TreeElimination {
   public:
     enum Ending { CLEAR = 0, RANK = 1 };

@@ -89,6 +89,12 @@ class CompiledElimination(Factors):
         """See `Elimination.displacement`."""
         return self._asked(DISPLACEMENT, level, whitened, len(whitened))
 
+    def row_lengths(self) -> Array:
+        """Return the length of each row of the matrix without weights `(k,)`."""
+        given, out = np.ascontiguousarray(self.rows.given), np.empty(len(self.rows.joints))
+        self._checked(self._core.core_tree_row_lengths(ctypes.byref(self._input), given.ctypes.data, out.ctypes.data))
+        return out
+
     def count_below(self, level: int, tau: float) -> int | None:
         """See `Elimination.count_below`."""
         given = np.ascontiguousarray(self.rows.given)

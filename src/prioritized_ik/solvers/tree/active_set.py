@@ -10,14 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
-from prioritized_ik.solvers.tree.elimination import Ending, Factors
+from prioritized_ik.solvers.tree.elimination import Ending
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.tolerances import CERTIFIED, CUT_MARGIN, DRIFT, FLOOR, FREE, KEPT, REFINEMENTS
+from prioritized_ik.tolerances import CERTIFIED, CUT_MARGIN, FLOOR, FREE, KEPT, REFINEMENTS
 from prioritized_ik.validation import Array, length
 
 SHARE = 0.3  # [of the worst violation] what is broken by less is left for later
 BLOCKS = 200  # sets that change in blocks
 SINGLES = 3  # [of joints and rows] sets after that which change by one row
+REFINED = 1e-12  # [of the step] a correction this small is the last one
 LONG = 1e-3  # [of what levels ask for, by their strength]: steps this long are not short for what levels ask for
 
 
@@ -43,11 +44,10 @@ class Search:
 
     Args:
         posed: the problem.
-        factors: of its faces.
     """
 
-    def __init__(self, posed: PosedOnTree, factors: Factors) -> None:
-        self.posed, self._factors = posed, factors
+    def __init__(self, posed: PosedOnTree) -> None:
+        self.posed, self._factors = posed, posed.factors
         self._frozen = posed.lower == posed.upper
         self._closed_form_length: float | None = None
 
@@ -93,7 +93,7 @@ class Search:
             more, _ = factors.solve(np.zeros(len(u)), self._sides(posed.missing(u), active), posed.reference - u)
             u = u + more
             u[fixed] = values[fixed]
-            if length(more) <= DRIFT * length(u):
+            if length(more) <= REFINED * length(u):
                 break
         return u
 

@@ -239,13 +239,14 @@ class TreeProof:
     @property
     def holds_with_margin(self) -> bool:
         """Whether the certificate holds with room to spare, as the compiled core asks of its own."""
-        certificate = self.certificate
+        levels, scale = self.levels, self.scale
+        if len(levels) < len(self._posed.parts) or levels[-1].pulls:
+            return False
+        variation = max(max(level.rounding for level in levels) / scale, levels[-1].relative_gap)
         return (
-            len(self.levels) == len(self._posed.parts)
-            and not self.levels[-1].pulls
-            and certificate.worst <= MARGIN * CERTIFIED
-            and max(certificate.relative_gaps[:-1], default=0.0) <= MARGIN * GAP
-            and certificate.variation <= MARGIN * UNDECIDED
+            max(self.violation, *(level.excess for level in levels)) <= MARGIN * CERTIFIED * scale
+            and max((level.relative_gap for level in levels[:-1]), default=0.0) <= MARGIN * GAP
+            and variation <= MARGIN * UNDECIDED
         )
 
     @property

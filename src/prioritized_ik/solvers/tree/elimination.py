@@ -153,6 +153,10 @@ class Factors(ABC):
         """
 
     @abstractmethod
+    def row_lengths(self) -> Array:
+        """Return the length of each row of the matrix, without weights `(k,)`: of all joints that move its point."""
+
+    @abstractmethod
     def count_below(self, level: int, tau: float) -> int | None:
         """Return how many singular values of a level's matrix, without weights, are below `tau`; None if that is not clear.
 
@@ -313,6 +317,18 @@ class Elimination(Factors):
                     at += count
                 out[step.own] = z[at:]
         return out
+
+    def row_lengths(self) -> Array:
+        """See `Factors.row_lengths`."""
+        parents, m = self.rows.tree.parents, self.rows.tree.joint_count
+        grams = np.zeros((m, TWIST, TWIST))  # of what a joint and those before it make of its twist
+        for j in range(m):
+            if parents[j] != BASE:
+                moved = np.array([_moved_twist(column, self.arms[j]) for column in grams[parents[j]].T]).T
+                grams[j] = [_moved_twist(row, self.arms[j]) for row in moved]
+            grams[j] += np.outer(self.axes[j], self.axes[j])
+        given = self.rows.given
+        return np.sqrt(np.maximum(np.einsum("ri,rij,rj->r", given, grams[self.rows.joints], given), 0.0))
 
     def count_below(self, level: int, tau: float) -> int | None:
         """See `Factors.count_below`."""

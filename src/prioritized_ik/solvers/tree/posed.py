@@ -4,16 +4,18 @@ from functools import cached_property
 
 import numpy as np
 
-from prioritized_ik.kinematic_tree import BASE, PointRows
+from prioritized_ik.kinematic_tree import BASE, PointRows, crossed, length_of
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.solvers.tree.elimination import TreeRowsOnJoints
+from prioritized_ik.solvers.compiled.library import library
+from prioritized_ik.solvers.compiled.tree import CompiledElimination
+from prioritized_ik.solvers.tree.elimination import Elimination, Factors, TreeRowsOnJoints
 from prioritized_ik.tolerances import NOISE
 from prioritized_ik.tree_problem import TreeLevel, TreeRows, tree_of
 from prioritized_ik.validation import Array, length
 
 POWERS = 30  # of the power method
 
-CLEAR_ROW = 1e-5  # [of the longest row]: lengths are differences of squares, right to half of the digits
+CLEAR_ROW = 1e-7  # [of the longest row]: lengths are roots of squares, right to half of the digits where they are short
 
 
 def is_on_tree(problem: IKProblem) -> bool:
@@ -45,6 +47,8 @@ class PosedOnTree:
     """
 
     def __init__(self, problem: IKProblem) -> None:
+        self._moved_by: Array | None = None
+        self._motions = np.zeros(0)
         tree = tree_of(problem)
         assert tree is not None
         root = problem.metric_root
@@ -69,19 +73,15 @@ class PosedOnTree:
         self.parts = [slice(end - count, end) for end, count in zip(np.cumsum(counts), counts, strict=True)]
 
     @cached_property
+    def factors(self) -> Factors:
+        """What factors faces: the compiled core, where there is one."""
+        rows = self.on_joints
+        return Elimination(rows) if library().core is None else CompiledElimination(rows)
+
+    @cached_property
     def lengths(self) -> Array:
-        """Length of each row of the matrix `(k,)`, to half of the digits: rows that are none are not told from zero."""
-        tree, rows = self.tree, self.rows
-        motion = np.concatenate([tree.angular, tree.linear_at_origin], axis=1)
-        pairs = (motion[:, :, None] * motion[:, None, :]).reshape(-1, 36)
-        for first, end, before in tree.runs:
-            if before != BASE:
-                pairs[first] += pairs[before]
-            np.cumsum(pairs[first:end], axis=0, out=pairs[first:end])
-        covectors = np.concatenate([rows.moments, rows.directions], axis=1)
-        squares = np.einsum("ri,rij,rj->r", covectors, pairs[rows.joints].reshape(-1, 6, 6), covectors)
-        squares[rows.joints == BASE] = 0.0
-        return np.sqrt(np.maximum(squares, 0.0))
+        """Length of each row of the matrix `(k,)`."""
+        return self.factors.row_lengths()
 
     @cached_property
     def roots(self) -> Array:
@@ -92,7 +92,7 @@ class PosedOnTree:
     def unit(self) -> float:
         """How far points are from the anchors before them, as a rule [m]: in this unit turns and motions count alike."""
         moved = self.rows.joints != BASE
-        away = np.linalg.norm(self.rows.points[moved] - self.tree.anchors[self.rows.joints[moved]], axis=1)
+        away = length_of((self.rows.points - self.tree.anchors[self.rows.joints])[moved])
         away = away[away > 0.0]
         return float(np.median(away)) if len(away) else 1.0
 
@@ -103,7 +103,7 @@ class PosedOnTree:
         scaled = tree.moved_to(tree.angular, tree.linear / unit, tree.anchors / unit)
         levers = (rows.points - tree.anchors[rows.joints]) / unit
         covectors = np.empty((len(rows), 6))
-        covectors[:, :3] = np.cross(levers, rows.directions)
+        covectors[:, :3] = crossed(levers, rows.directions)
         covectors[:, 3:] = rows.directions
         covectors *= np.where(rows.joints == BASE, 0.0, unit)[:, None]
         weighted = covectors * self.roots[:, None]
@@ -114,13 +114,18 @@ class PosedOnTree:
         """Right-hand sides, weighted `(k,)`; of inequality rows that are none, zero."""
         return np.where(np.isfinite(self.targets), self.targets, 0.0) * self.roots
 
+    def motions(self, u: Array) -> Array:
+        """Return how far `u` `(m,)`, which does not change, moves each row `(k,)`; that of the last one is kept."""
+        if u is not self._moved_by:
+            self._moved_by, self._motions = u, self.rows.times(u)
+        return self._motions
+
     def slack(self, u: Array) -> Array:
         """Return how far `u` `(m,)` is from each inequality row `(c,)`, as a distance."""
         part = self.parts[0]
-        contacts = self.rows[part]
-        if not len(contacts):
+        if part.stop == part.start:
             return np.zeros(0)
-        return (self.targets[part] - contacts.times(u)) / self.lengths[part]
+        return (self.targets[part] - self.motions(u)[part]) / self.lengths[part]
 
     @property
     def has_clear_rows(self) -> bool:
@@ -130,7 +135,7 @@ class PosedOnTree:
 
     def missing(self, u: Array) -> Array:
         """Return what each row lacks at `u`, weighted `(k,)`."""
-        return self.sides - self.roots * self.rows.times(u)
+        return self.sides - self.roots * self.motions(u)
 
     def demand(self, number: int) -> float:
         """Return the length of what a level asks for; levels are numbered from 1."""

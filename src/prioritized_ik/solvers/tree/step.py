@@ -7,14 +7,12 @@ import numpy as np
 
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled.fast import LOOSE, TIGHT, Remembered
-from prioritized_ik.solvers.compiled.library import Question, library
-from prioritized_ik.solvers.compiled.tree import CompiledElimination
+from prioritized_ik.solvers.compiled.library import Question
 from prioritized_ik.solvers.compiled.workspace import numbered_names
 from prioritized_ik.solvers.report import DeferredReports
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.solvers.tree.active_set import Found, Search
 from prioritized_ik.solvers.tree.certificate import ActiveSet
-from prioritized_ik.solvers.tree.elimination import Elimination, Factors, TreeRowsOnJoints
 from prioritized_ik.solvers.tree.posed import PosedOnTree, is_on_tree
 from prioritized_ik.tolerances import ACCEPTED_VIOLATION
 
@@ -33,11 +31,6 @@ def goes_along_links(kinematics: str, joints: int) -> bool:
 def is_worthwhile(problem: IKProblem, kinematics: str) -> bool:
     """Whether a problem is to be solved joint by joint, and can be."""
     return goes_along_links(kinematics, problem.joint_count) and is_on_tree(problem)
-
-
-def factors_of(rows: TreeRowsOnJoints) -> Factors:
-    """Return what factors the faces of a problem: the compiled core, where there is one."""
-    return Elimination(rows) if library().core is None else CompiledElimination(rows)
 
 
 def tree_step(
@@ -61,7 +54,7 @@ def tree_step(
     if not posed.has_clear_rows:
         return None
     names, numbers = numbered_names(problem.bounds.names, problem.rows.names, ())
-    search = Search(posed, factors_of(posed.on_joints))
+    search = Search(posed)
     if rank_tolerance and not search.has_clear_ranks(rank_tolerance):
         return None
     found = _found(search, _guess(search, rows, names, numbers), question)
@@ -112,7 +105,7 @@ def _remembered(active: ActiveSet, posed: PosedOnTree, names: tuple[str, ...]) -
 
 def _step(posed: PosedOnTree, found: Found, rank_tolerance: float, method: str, seconds: float) -> JointStep:
     problem, proof, active, u = posed.problem, found.proof, found.active, found.u
-    dtheta = problem.from_metric(u)
+    dtheta, lacking = problem.from_metric(u), posed.missing(u)
     near = ACCEPTED_VIOLATION * proof.scale
     joints, rows = problem.bounds.names, problem.rows.names
     tight = (
@@ -129,7 +122,7 @@ def _step(posed: PosedOnTree, found: Found, rank_tolerance: float, method: str, 
     return JointStep(
         dtheta,
         StepStatus.SOLVED if proof.is_held else StepStatus.CLOSED_FORM,
-        costs=tuple(level.cost(dtheta) for level in problem.levels),
+        costs=tuple(float(missing @ missing) for missing in (lacking[part] for part in posed.parts[1:])),
         tight_rows=tight,
         violation=proof.certificate.violation,
         timings=Timings(seconds, 0.0),
