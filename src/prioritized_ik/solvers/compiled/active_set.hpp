@@ -23,50 +23,45 @@ class ActiveSet : public Written {
     }
     bool is_visited() const { return std::find(visited_.begin(), visited_.end(), digest()) != visited_.end(); }
 
-    // From the active rows to the optimum; false if that leads nowhere in `most` sets. No set is visited twice: where the rule
-    // would return to one, the next best row is dropped instead. Of some of the levels alone nothing is written.
-    bool search(int most) {
-        Scope scope(arena_);
-        int* ids = arena_.array<int>(all_);
-        uint8_t* proven = arena_.array<uint8_t>(2 * all_);  // active and exceeded rows at the last proof, and the slacks there
-        double* proven_slack = arena_.doubles(all_);
-        size_t next = 0;
+    void start_searches() {
+        ids_ = arena_.array<int>(all_);
+        proven_ = arena_.array<uint8_t>(2 * all_);
+        proven_slack_ = arena_.doubles(all_);
+    }
+
+    // From the active rows on.
+    void start_search() {
         visited_.clear();
         wrong_.clear();
+        next_ = 0;
+        is_stuck_ = false;
+        fewest_ = all_;
         slacks(start_, slack_);
-        auto dropped = [&] {
-            const bool other = std::memcmp(exceeded_, proven + all_, all_) != 0;
-            std::memcpy(exceeded_, proven + all_, all_);
-            for (; next < wrong_.size(); next++) {
-                std::memcpy(active_, proven, all_);
-                active_[wrong_[next]] = 0;
-                if (!is_visited()) {
-                    if (other) refactor();
-                    copy(proven_slack, slack_, all_);
-                    return true;
-                }
-            }
-            return false;
-        };
-        for (int iteration = 0; iteration < most; iteration++) {
+    }
+
+    // Goes on to the optimum, for `most` further sets, with soft levels since fewer rows pulled than ever before; false if that
+    // leads nowhere, or not yet. No set is visited twice: where the rule would return to one, the next best row is dropped
+    // instead. Of some of the levels alone nothing is written.
+    // `is_at_hand`: the first set's step is in u_, with its slacks.
+    bool search(int most, bool is_at_hand = false) {
+        int* ids = ids_;
+        for (size_t end = visited_.size() + most; visited_.size() < end && !is_stuck_; is_at_hand = false) {
+            io.lists[CORRECTIONS] = int(visited_.size());
             visited_.push_back(digest());
-            face(ids, listed(ids));
-            measure();
-            if (!(size_ < INFINITE)) return false;
-            io.lists[CORRECTIONS] = iteration;
-            if (advance()) {
-                if (is_visited() && !dropped()) return false;
-                continue;
+            if (!is_at_hand) {
+                face(ids, listed(ids));
+                measure();
             }
-            if (soft_ && sort_soft()) {
-                if (is_visited() && !dropped()) return false;
+            if (!(size_ < INFINITE)) break;
+            if (advance() || (soft_ && sort_soft())) {
+                is_stuck_ = is_visited() && !drop();
                 continue;
             }
             bool loose = false;
             for (int i = 0; i < all_; i++)
                 if (active_[i] && reach_[i] > tol_.CERTIFIED * scale_) active_[i] = 0, loose = true;
             if (loose) {
-                if (is_visited() && !dropped()) return false;
+                is_stuck_ = is_visited() && !drop();
                 continue;
             }
             bool same = true;
@@ -79,11 +74,15 @@ class ActiveSet : public Written {
                 else conclude(ids, t);
                 return true;
             }
-            std::memcpy(proven, active_, all_);
-            std::memcpy(proven + all_, exceeded_, all_);
-            copy(slack_, proven_slack, all_);
-            next = 0;
-            if (!dropped()) return false;
+            std::memcpy(proven_, active_, all_);
+            std::memcpy(proven_ + all_, exceeded_, all_);
+            copy(slack_, proven_slack_, all_);
+            next_ = 0;
+            if (soft_ && wrong_.size() < fewest_) {
+                fewest_ = wrong_.size();
+                end = visited_.size() + most;
+            }
+            is_stuck_ = !drop();
         }
         return false;
     }
@@ -159,7 +158,29 @@ class ActiveSet : public Written {
     }
 
   private:
+    // The set of the last proof without the next of the rows that pull there; false if all such sets were visited.
+    bool drop() {
+        const bool other = std::memcmp(exceeded_, proven_ + all_, all_) != 0;
+        std::memcpy(exceeded_, proven_ + all_, all_);
+        for (; next_ < wrong_.size(); next_++) {
+            std::memcpy(active_, proven_, all_);
+            active_[wrong_[next_]] = 0;
+            if (!is_visited()) {
+                if (other) refactor();
+                copy(proven_slack_, slack_, all_);
+                return true;
+            }
+        }
+        return false;
+    }
+
     std::vector<uint64_t> visited_;
+    bool is_stuck_ = false;  // no set is left to go on with
+    size_t fewest_ = 0;      // of the rows that pull, over the search
+    int* ids_ = nullptr;
+    uint8_t* proven_ = nullptr;        // active and exceeded rows at the last proof,
+    double* proven_slack_ = nullptr;   // the slacks there,
+    size_t next_ = 0;                  // and the next of its `wrong_` rows
 };
 
 }  // namespace prioritized_ik

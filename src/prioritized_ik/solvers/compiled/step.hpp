@@ -30,6 +30,8 @@ class Step : public ActiveSet {
     }
 
   private:
+    static constexpr int PATIENCE = 3;  // with a guess: it may take this part of the sets that its rows take from nothing
+
     int answer(Question question) {
         arena_.back_to(0);
         std::fill_n(io.lists.begin(), int(COUNTS), 0);
@@ -38,6 +40,7 @@ class Step : public ActiveSet {
         start_faces();
         active_ = arena_.array<uint8_t>(all_);
         std::memset(active_, 0, all_);
+        start_searches();
         bool guessed = false;
         for (int i = 0; i < all_; i++) guessed = guessed || (io.guess[i] && side_[i] < INFINITE);
 
@@ -45,15 +48,16 @@ class Step : public ActiveSet {
         // form's; any other may be, and where they are not right at once the closed form has the first word. With soft levels
         // it has it always: what its length is for needs factors of its own.
         closed_form_ = -1.0;
-        if (guessed && question == STEP && !soft_) {
+        const bool is_begun = guessed && question == STEP && !soft_;
+        if (is_begun) {
             start_from_guess();
             if (search(1) && io.lists[HOLDING]) return SOLVED;
             std::fill_n(io.lists.begin(), int(COUNTS), 0);
         }
         face(nullptr, 0);
         closed_form_ = norm(u_, m_);
+        measure();
         if (question != FROM_GUESS_ONLY) {
-            measure();
             if (worst_ >= -tol_.FREE * scale_) {
                 if (!prove(nullptr, 0)) throw Declined{UNPROVEN};
                 conclude(nullptr, 0);
@@ -61,15 +65,23 @@ class Step : public ActiveSet {
             }
             if (question == CLOSED_FORM_ONLY) return BINDING;
         }
+        // From nothing a search takes about a set a row, with soft levels a few: from a guess it is to be right sooner.
         if (guessed) {
-            start_from_guess();
+            if (!is_begun) start_from_guess();
             if (soft_) refactor();
-            if (search(int(tol_.ITERATIONS))) return SOLVED;
+            if (search(1 + guessed_ / PATIENCE)) return SOLVED;
             std::memset(exceeded_, 0, all_);
             if (soft_) refactor();
         }
         std::memset(active_, 0, all_);
-        if (search(int(tol_.ITERATIONS)) || search_level_by_level()) return SOLVED;
+        start_search();
+        if (search(int(tol_.ITERATIONS), !guessed)) return SOLVED;
+        if (guessed) {
+            start_from_guess();
+            if (soft_) refactor();
+            if (search(int(tol_.ITERATIONS))) return SOLVED;
+        }
+        if (search_level_by_level()) return SOLVED;
         throw Declined{UNSETTLED};
     }
 
@@ -79,17 +91,23 @@ class Step : public ActiveSet {
         std::memset(exceeded_, 0, all_);
         for (looked_at_ = 1; looked_at_ <= now_.levels; looked_at_++) {
             refactor();
+            start_search();
             if (!search(int(tol_.ITERATIONS))) return false;
         }
         return now_.levels > 0;
     }
 
     void start_from_guess() {
+        guessed_ = 0;
         for (int i = 0; i < all_; i++) {
             exceeded_[i] = i >= hard_ && io.guess[i] == NOT_KEPT && side_[i] < INFINITE;
             active_[i] = io.guess[i] && side_[i] < INFINITE && !exceeded_[i];
+            guessed_ += active_[i] || exceeded_[i];
         }
+        start_search();
     }
+
+    int guessed_ = 0;  // rows
 };
 
 }  // namespace prioritized_ik
