@@ -24,6 +24,14 @@ from prioritized_ik.winding.settings import Control
 
 SAME = 1e-9  # [m] and of unit vectors: what the two forms may differ by at the first look; rounding is a millionth of it
 
+_BOXED = [
+    int(kind)
+    for kind in (
+        *(mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID),
+        *(mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH),
+    )
+]  # kinds of geoms that the model knows a box around
+
 _VECTORS = ("positions", "directions", "normal", "point", "contact_vectors", "desired")  # (n, 3) each
 _NUMBERS = ("distance", "signs")  # (n,) each
 _SEEN = {"positions": "end_points"}  # where Scene has another name
@@ -53,7 +61,7 @@ class Scene(ctypes.Structure):
             for name in (
                 *("model", "data", "kinematics", "com_pos", "geom_distance"),
                 *("geoms", "bodies", "roots", "end_bodies", "end_roots", "range_dofs", "range_places"),
-                *("moves", "end_moves", "offsets", "half_lengths", "range_low", "range_high"),
+                *("moves", "end_moves", "offsets", "half_lengths", "radii", "box", "range_low", "range_high"),
                 *("qpos", "xpos", "xmat", "geom_xpos", "geom_xmat", "cdof", "subtree_com"),
                 *("q", "was_in_contact"),
                 *("end_points", "directions", "distance", "normal", "point", "contact_vectors", "desired", "signs"),
@@ -114,6 +122,8 @@ class CompiledLook:
             "end_moves": arms.jacobians.moving.astype(np.uint8) if poses else none,
             "offsets": np.array(arms.offsets),
             "half_lengths": np.array(sensor.half_lengths),
+            "radii": model.geom_rbound[sensor.links],
+            "box": _box_around(model, sensor.object),
             "range_low": low,
             "range_high": high,
             "q": self._q,
@@ -195,6 +205,12 @@ class CompiledLook:
             trusted(Bounds, lower=lower, upper=upper, names=self._joint_names),
             trusted(Rows, matrix=self._rows[:count].copy(), upper=self._sides[:count].copy(), names=names),
         )
+
+
+def _box_around(model: mujoco.MjModel, geom: int) -> Array:
+    """Return centre and half-sizes `(6,)` [m] of the box around a geom in its own axes, infinite where it has none."""
+    centre, sizes = model.geom_aabb[geom].reshape(2, 3)
+    return np.append(centre, sizes if model.geom_type[geom] in _BOXED else np.full(3, np.inf))
 
 
 def compiled_look(parts: Parts) -> CompiledLook | None:

@@ -26,6 +26,13 @@ inline Four& four(double* at) { return *reinterpret_cast<Four*>(at); }
 inline const Four& four(const double* at) { return *reinterpret_cast<const Four*>(at); }
 inline double total(Four x) { return (x[0] + x[2]) + (x[1] + x[3]); }
 
+// The totals of four at once, in the same order of sums.
+inline Four totals(Four p, Four q, Four r, Four s) {
+    const Four a = __builtin_shufflevector(p, q, 0, 1, 4, 5) + __builtin_shufflevector(p, q, 2, 3, 6, 7);
+    const Four b = __builtin_shufflevector(r, s, 0, 1, 4, 5) + __builtin_shufflevector(r, s, 2, 3, 6, 7);
+    return __builtin_shufflevector(a, b, 0, 2, 4, 6) + __builtin_shufflevector(a, b, 1, 3, 5, 7);
+}
+
 constexpr int LANES = 4;
 inline int padded(int n) { return (n + LANES - 1) & ~(LANES - 1); }
 inline int aligned_start(int n) { return n & ~(LANES - 1); }
@@ -156,8 +163,9 @@ inline void reflect_all(double* const* rows, int count, int from, const double* 
             r += four(c + j) * x;
             s += four(d + j) * x;
         }
-        const double e = -tau * total(p), f = -tau * total(q), g = -tau * total(r), h = -tau * total(s);
-        p = Four{e, e, e, e}, q = Four{f, f, f, f}, r = Four{g, g, g, g}, s = Four{h, h, h, h};
+        const Four factors = totals(p, q, r, s) * -tau;
+        p = __builtin_shufflevector(factors, factors, 0, 0, 0, 0), q = __builtin_shufflevector(factors, factors, 1, 1, 1, 1);
+        r = __builtin_shufflevector(factors, factors, 2, 2, 2, 2), s = __builtin_shufflevector(factors, factors, 3, 3, 3, 3);
         for (int j = 0; j < n; j += 4) {
             const Four x = four(v + j);
             four(a + j) += p * x;

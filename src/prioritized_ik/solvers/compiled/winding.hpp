@@ -21,7 +21,7 @@ struct Scene {
     // of the model, by link
     const int32_t *geoms, *bodies, *roots, *end_bodies, *end_roots, *range_dofs, *range_places;
     const uint8_t *moves, *end_moves;
-    const double *offsets, *half_lengths, *range_low, *range_high;
+    const double *offsets, *half_lengths, *radii, *box, *range_low, *range_high;
     // of the state
     double* qpos;
     const double *xpos, *xmat, *geom_xpos, *geom_xmat, *cdof, *subtree_com;
@@ -97,10 +97,26 @@ class Look {
         return true;
     }
 
+    // Whether the sphere around a link is out of reach of the box around the object, so that nothing is to be measured.
+    bool is_far(int i) const {
+        constexpr double SURE = 1e-4;  // [m] more than MuJoCo's distances may be off
+        const double *link = s.geom_xpos + 3 * s.geoms[i], *place = s.geom_xpos + 3 * s.object, *turn = s.geom_xmat + 9 * s.object;
+        double square = 0.0;
+        for (int k = 0; k < 3; k++) {
+            double along = -s.box[k];
+            for (int j = 0; j < 3; j++) along += turn[3 * j + k] * (link[j] - place[j]);
+            const double gap = max(abs(along) - s.box[3 + k], 0.0);
+            square += gap * gap;
+        }
+        return sqrt(square) > s.radii[i] + s.reach + SURE;
+    }
+
     // As TouchSensor.read.
     void touch(int i) const {
         double segment[6], *point = s.point + 3 * i, *normal = s.normal + 3 * i, axis[3], inward[3];
-        s.distance[i] = s.geom_distance(s.model, s.data, s.geoms[i], s.object, s.reach, segment);
+        s.distance[i] = s.reach;
+        if (is_far(i)) clear(segment, 6);  // as MuJoCo does
+        else s.distance[i] = s.geom_distance(s.model, s.data, s.geoms[i], s.object, s.reach, segment);
         copy(segment, point, 3);
         const double *centre = s.geom_xpos + 3 * s.geoms[i], *turn = s.geom_xmat + 9 * s.geoms[i];
         double along = 0.0;
