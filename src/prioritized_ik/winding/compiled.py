@@ -6,6 +6,7 @@ or MuJoCo's library cannot be had, the Python form goes on alone.
 
 import ctypes
 import warnings
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.limits import OUTSIDE, contact_row_name, joint_names, limited_scalars
-from prioritized_ik.problem import Bounds, Rows, trusted
+from prioritized_ik.packed import Layout, PackedProblem
+from prioritized_ik.problem import Bounds, IKProblem, Rows, trusted
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.touch import TouchSensor
 from prioritized_ik.validation import LARGEST, Array
@@ -108,7 +110,6 @@ class CompiledLook:
         self._rows, self._sides, self._near = np.zeros((rows, m)), np.zeros(n), np.zeros(n, dtype=np.int32)
         self._joint_names = joint_names(model)
         self._wound = sensor.object_name
-        self._row_names: dict[bytes, tuple[str, ...]] = {}
         none = np.zeros(0, dtype=np.uint8)
         kept: dict[str, NDArray[Any]] = {
             "geoms": np.array(sensor.links, dtype=np.int32),
@@ -183,28 +184,59 @@ class CompiledLook:
         touching.setflags(write=False)
         return {"in_contact": touching, "first": first, "last": last, "written": self._written.copy()}
 
-    def pose(self, q: Array) -> tuple[Array, Array, Bounds, Rows] | None:
-        """Return J `(3 n, m)`, dX_v* `(3 n,)`, bounds and contact rows where the arm was observed last.
+    def pose(self, q: Array) -> bytes | None:
+        """Write J `(3 n, m)`, dX_v* `(3 n,)`, bounds and contact rows where the arm was observed last.
 
-        None as for `observe`.
+        Returns which links have such rows, as a key; None as for `observe`.
         """
         self._q[:] = q
         count = self._core_pose(self._at)
-        if count < 0:
-            return None
+        return None if count < 0 else self._near[:count].tobytes()
+
+    def posed(self, near: bytes) -> tuple[Array, Array, Bounds, Rows]:
+        """Return what was posed last, where the links `near` have rows."""
+        links = np.frombuffer(near, dtype=np.int32)
+        names = tuple(contact_row_name(link + 1, self._wound) for link in links.tolist())
         lower, upper = self._bounds.copy()
-        near = self._near[:count].tobytes()
-        names = self._row_names.get(near)
-        if names is None:
-            names = self._row_names[near] = tuple(
-                contact_row_name(link + 1, self._wound) for link in self._near[:count].tolist()
-            )
         return (
             self._jacobian.copy(),
             self._desired.copy(),
             trusted(Bounds, lower=lower, upper=upper, names=self._joint_names),
-            trusted(Rows, matrix=self._rows[:count].copy(), upper=self._sides[:count].copy(), names=names),
+            trusted(Rows, matrix=self._rows[: len(links)].copy(), upper=self._sides[: len(links)].copy(), names=names),
         )
+
+    def packed(self, problem: IKProblem, rows: Sequence[slice]) -> "PackedPose":
+        """Return what packs problems like one that was posed, whose levels are these `rows` of all."""
+        return PackedPose(problem, self._jacobian, self._desired, self._bounds, self._rows, self._sides, rows)
+
+
+class PackedPose:
+    """Problems with the same levels and contact rows, packed from the arrays that the core poses them in."""
+
+    def __init__(
+        self,
+        pattern: IKProblem,
+        jacobian: Array,
+        desired: Array,
+        bounds: Array,
+        row_matrix: Array,
+        row_upper: Array,
+        levels: Sequence[slice],
+    ) -> None:
+        self._layout = Layout(pattern)
+        self._numbers = self._layout.packed()
+        parts, count = self._layout.parts(self._numbers), len(pattern.rows.upper)
+        self._pairs = [(parts.row_matrix, row_matrix[:count]), (parts.row_upper, row_upper[:count])]
+        for place, rows in zip(self._layout.levels, levels, strict=True):
+            self._pairs += [(parts.matrix[place], jacobian[rows]), (parts.target[place], desired[rows])]
+        if np.isfinite(parts.upper).all():  # they are kept, and always bind a step
+            self._pairs += [(parts.lower, bounds[0]), (parts.upper, bounds[1])]
+
+    def problem(self) -> PackedProblem:
+        """Return the problem that was posed last."""
+        for place, posed in self._pairs:
+            place[...] = posed
+        return PackedProblem(self._layout, self._numbers.copy())
 
 
 def _box_around(model: mujoco.MjModel, geom: int) -> Array:

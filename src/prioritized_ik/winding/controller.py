@@ -15,7 +15,7 @@ from prioritized_ik.touch import Touch, update_contact
 from prioritized_ik.validation import Array, read_only
 from prioritized_ik.weights import diagonal_of_weights, winding_priorities, winding_weights
 from prioritized_ik.winding.chain import Chain
-from prioritized_ik.winding.compiled import Parts, compiled_look, parts_of, same_look
+from prioritized_ik.winding.compiled import PackedPose, Parts, compiled_look, parts_of, same_look
 from prioritized_ik.winding.on_tree import OnTree, level_on_tree
 from prioritized_ik.winding.plan import driven_arms, first_and_last_in_contact, plan
 from prioritized_ik.winding.settings import Control, WindingSettings
@@ -110,6 +110,7 @@ class ChainController:
         self.model, self.data = chain.robot.model, chain.robot.data
         self.arms, self.sensor = chain.arms, chain.sensor
         self._groups: dict[int, tuple[RowGroup, ...]] = {}  # by k
+        self._packed: dict[tuple[bytes, int], PackedPose] = {}  # by the links with contact rows, and k
         self._step_bounds = step_bounds(self.model, settings.max_step)
         along_links = not self.sensor.object_moves and goes_along_links(settings.options.kinematics, self.model.nv)
         self._on_tree = OnTree(chain) if along_links else None
@@ -166,14 +167,23 @@ class ChainController:
         """Return the problem of the step from `q`, where `situation` was observed last."""
         if self._on_tree is not None:
             return self._problem_on_tree(self._on_tree, q, situation)
-        posed = None
-        if self._compiled is not None and situation is self._seen:
-            posed = self._compiled.pose(q)
-        jacobian, desired, bounds, rows = posed or self._posed(q, situation)
+        look = self._compiled
+        if look is None or situation is not self._seen or (near := look.pose(q)) is None:
+            return self._assembled(*self._posed(q, situation), situation.last)
+        key = near, situation.last
+        if key not in self._packed:
+            groups = self._groups_after(situation.last)
+            self._packed[key] = look.packed(
+                self._assembled(*look.posed(near), situation.last), [group.rows for group in groups]
+            )
+        return self._packed[key].problem()
+
+    def _assembled(self, jacobian: Array, desired: Array, bounds: Bounds | None, rows: Rows | None, last: int) -> IKProblem:
+        """Return the problem of what was posed, where `last` is the last link in contact."""
         levels = tuple(
             [
                 trusted_level(jacobian[group.rows], desired[group.rows], group.weights, group.name)
-                for group in self._groups_after(situation.last)
+                for group in self._groups_after(last)
             ]
         )
         settings = self.settings

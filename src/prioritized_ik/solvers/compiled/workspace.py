@@ -103,10 +103,12 @@ class Workspace:
         self.names: tuple[str, ...] = ()  # of upper bounds, lower bounds, rows and soft levels' rows, as lists number them
         self.numbers: dict[str, int] = {}
         self._metric: Array | None = None
-        self._held: Array | None = None  # numbers that were read last
+        self._layout: Layout | None = None  # of the problem that was filled in, if it is packed,
+        self._held: Array | None = None  # and the numbers that were read last
 
     def fill(self, problem: IKProblem, sizes: Sizes, rank_tolerance: float) -> None:
         """Write a problem that has room, whose metric is diagonal."""
+        self._layout = None
         end = 0
         for number, level in enumerate(problem.levels):
             start, end = end, end + len(level.target)
@@ -130,6 +132,13 @@ class Workspace:
         self.reference[:] = problem.reference
         self.settings[0] = rank_tolerance
         self.settings[1] = problem.noise
+
+    def take(self, layout: Layout, sizes: Sizes) -> None:
+        """Fill in the pattern of problems of a layout, unless it is there."""
+        if layout is not self._layout:
+            self.fill(layout.pattern, sizes, 0.0)
+            self.name(layout.pattern)
+            self._layout, self._held = layout, None
 
     def read(self, numbers: Array, sizes: Sizes) -> bool:
         """Take the numbers of a problem whose pattern was filled in; whether they are beyond doubt, see packed.hpp."""
@@ -200,11 +209,11 @@ def _flags(address: int | None, count: int) -> NDArray[np.uint8]:
 
 
 class _Own(threading.local):
-    """Each thread's workspaces: by number of joints, and those of problems that live, by their layout."""
+    """Each thread's workspaces, by number of joints, and the sizes of problems that are packed, by their layout."""
 
     def __init__(self) -> None:
         self.by_joints: dict[int, Workspace] = {}
-        self.by_layout: weakref.WeakKeyDictionary[Layout, tuple[Workspace, Sizes]] = weakref.WeakKeyDictionary()
+        self.sizes: weakref.WeakKeyDictionary[Layout, Sizes] = weakref.WeakKeyDictionary()
 
 
 _OWN = _Own()
@@ -220,10 +229,9 @@ def workspace_for(sizes: Sizes) -> Workspace:
 
 def workspace_of(layout: Layout) -> tuple[Workspace, Sizes]:
     """Return this thread's workspace for problems of a layout, their pattern filled in, and their sizes."""
-    found = _OWN.by_layout.get(layout)
-    if found is None:
-        sizes = Sizes.of(layout.pattern)
-        found = _OWN.by_layout[layout] = Workspace(sizes.roomy(None)), sizes
-        found[0].fill(layout.pattern, sizes, 0.0)
-        found[0].name(layout.pattern)
-    return found
+    sizes = _OWN.sizes.get(layout)
+    if sizes is None:
+        sizes = _OWN.sizes[layout] = Sizes.of(layout.pattern)
+    workspace = workspace_for(sizes)
+    workspace.take(layout, sizes)
+    return workspace, sizes
