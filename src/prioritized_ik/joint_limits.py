@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from prioritized_ik.errors import InputError
 from prioritized_ik.guard import OUTSIDE, Guarded, Limit, Way
 from prioritized_ik.limits import joint_names, joint_range_bounds
-from prioritized_ik.problem import Bounds, Rows
+from prioritized_ik.problem import Bounds, Rows, trusted
 from prioritized_ik.robot import Robot
 from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array, finite_array, gain_of, non_negative, one_of, positive
@@ -78,7 +78,7 @@ class JointRange(Limit):
         excess = np.maximum(down, -up)
         out = np.flatnonzero(excess > ROUNDING)
         if not out.size:
-            return Bounds(lower, upper, names), None
+            return trusted(Bounds, lower=lower, upper=upper, names=names), None
         back, low = np.minimum(excess[out], self._speed * dt), down[out] > 0.0
         if self._outside == "require":
             lower[dofs[out[low]]], upper[dofs[out[~low]]] = back[low], -back[~low]
@@ -143,7 +143,8 @@ class Velocity(Limit):
         self._fastest = _by_dof(robot, "fastest", fastest, base)
 
     def _at(self, robot: Robot, dt: float) -> Guarded:
-        return Guarded(Bounds(-self._fastest * dt, self._fastest * dt, joint_names(robot.model)))
+        furthest = self._fastest * dt
+        return Guarded(trusted(Bounds, lower=-furthest, upper=furthest, names=joint_names(robot.model)))
 
 
 class Acceleration(Limit):

@@ -19,6 +19,9 @@ CONTACT_MARGIN = 0.05  # [m] only links nearer to the object than this get a con
 #: Names of joints by model: they cannot change, and asking MuJoCo for each takes longer than all else here.
 _NAMES: weakref.WeakKeyDictionary[mujoco.MjModel, tuple[str, ...]] = weakref.WeakKeyDictionary()
 
+#: Which degrees of freedom translate, by model.
+_TRANSLATING: weakref.WeakKeyDictionary[mujoco.MjModel, NDArray[np.bool_]] = weakref.WeakKeyDictionary()
+
 #: Limited hinges and slides by model and by which joints it has limited now: their numbers, and places in dθ and q.
 _LIMITED: weakref.WeakKeyDictionary[mujoco.MjModel, dict[bytes, tuple[NDArray[np.int_], ...]]] = weakref.WeakKeyDictionary()
 
@@ -54,11 +57,17 @@ def joint_metric(model: mujoco.MjModel, length: float | None = None) -> Array:
         InputError: a length that is not positive.
     """
     size = positive("length", 0.5 * float(model.stat.extent) if length is None else length)
+    translating = _TRANSLATING.get(model)
+    if translating is None:
+        translating = _TRANSLATING[model] = _translating(model)
+    return np.where(translating, 1.0 / size**2, 1.0)
+
+
+def _translating(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Return which degrees of freedom `(m,)` translate: slides, and the first three of a free base."""
     kinds = model.jnt_type[model.dof_jntid]
     place = np.arange(model.nv) - model.jnt_dofadr[model.dof_jntid]
-    free, slide = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-    translates = (kinds == slide) | ((kinds == free) & (place < 3))
-    return np.where(translates, 1.0 / size**2, 1.0)
+    return (kinds == _SLIDE) | ((kinds == int(mujoco.mjtJoint.mjJNT_FREE)) & (place < 3))
 
 
 def limited_scalars(model: mujoco.MjModel) -> tuple[NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:

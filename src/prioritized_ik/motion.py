@@ -155,7 +155,7 @@ def solve_step(
 
 def _task_levels(robot: Robot, groups: list[list[Task]], damping: float, fixed: Equalities) -> Iterator[Level]:
     shared, root = 0.0, np.sqrt(robot.metric)
-    _, left = _directions(fixed.matrix / root)  # what equalities and the levels above leave free
+    left = _left_by(fixed.matrix / root, None)  # what equalities and the levels above leave free
     for number, tasks in enumerate(groups, 1):
         if not tasks:
             continue
@@ -166,9 +166,7 @@ def _task_levels(robot: Robot, groups: list[list[Task]], damping: float, fixed: 
         shared += own
         last = number == len(groups)  # nobody needs what it leaves
         counted = np.sqrt(weights[weights > 0.0])[:, None] * (matrix[weights > 0.0] / root)
-        within, inside = _directions(counted @ left)
-        weakest = min(_weakest(counted), float(within.min(initial=np.inf)))
-        strained = weakest**2 < own
+        strained = not last and _weakest(counted, left) ** 2 < own
         yield Level(
             matrix,
             np.concatenate([task.gain * error for task, _, error in rows]),
@@ -177,21 +175,30 @@ def _task_levels(robot: Robot, groups: list[list[Task]], damping: float, fixed: 
             damping=shared if shared > DAMPING else 0.0,
             below="hold" if last or strained else "free",
         )
-        left = left @ inside
+        if number < len(groups) - 1:
+            left = _left_by(counted, left)
 
 
-def _weakest(rows: Array) -> float:
-    """Return the smallest singular value of rows `(k, n)`, zero of a robot that is stretched out."""
-    return float(np.linalg.svd(rows, compute_uv=False).min(initial=np.inf))
+def _weakest(rows: Array, left: Array | None) -> float:
+    """Return the smallest singular value of rows `(k, n)`, zero of a robot that is stretched out.
+
+    Also of what they are in the directions that are `left` `(n, f)`, all if None, but for what is rounding there.
+    """
+    weakest = float(np.linalg.svd(rows, compute_uv=False).min(initial=np.inf))
+    if left is None:
+        return weakest
+    within = np.linalg.svd(rows @ left, compute_uv=False)
+    return min(weakest, float(within[within > NOISE].min(initial=np.inf)))
 
 
-def _directions(rows: Array) -> tuple[Array, Array]:
-    """Return the singular values of rows `(k, n)` that are no rounding, and an orthonormal basis of what they leave."""
-    if not rows.size:
-        return np.zeros(0), np.eye(rows.shape[1])
-    _, values, directions = np.linalg.svd(rows)
-    rank = int(np.count_nonzero(values > NOISE))
-    return values[:rank], directions[rank:].T
+def _left_by(rows: Array, left: Array | None) -> Array | None:
+    """Return an orthonormal basis of the directions that rows `(k, n)` leave of those `left` `(n, f)`, None if all."""
+    within = rows if left is None else rows @ left
+    if not within.size:
+        return left
+    _, values, directions = np.linalg.svd(within)
+    inside = directions[int(np.count_nonzero(values > NOISE)) :].T
+    return inside if left is None else left @ inside
 
 
 def _joined_recovery(guards: Sequence[Guarded]) -> list[Rows]:

@@ -172,6 +172,7 @@ class Bounds:
         return trusted(Bounds, lower=lower, upper=upper, names=self.names)
 
     @staticmethod
+    @lru_cache(maxsize=16)
     def none(m: int) -> "Bounds":
         """Return bounds on `m` joints that never bind."""
         return Bounds(np.full(m, -np.inf), np.full(m, np.inf))
@@ -201,6 +202,7 @@ class Rows:
         return self.matrix.shape[1]
 
     @staticmethod
+    @lru_cache(maxsize=16)
     def none(m: int) -> "Rows":
         """Return no row on `m` joints."""
         return Rows(np.zeros((0, m)), np.zeros(0))
@@ -236,6 +238,7 @@ class Equalities:
         _set(self, matrix=checked, target=side, names=known)
 
     @staticmethod
+    @lru_cache(maxsize=16)
     def none(m: int) -> "Equalities":
         """Return no equality on `m` joints."""
         return Equalities(np.zeros((0, m)), np.zeros(0))

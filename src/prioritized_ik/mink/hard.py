@@ -40,13 +40,20 @@ class _Pool:
     sides: list[float] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
 
-    def bound(self, dof: int, factor: float, side: float, limit: str) -> None:
-        """Take in factor Δq[dof] <= side."""
-        value = side / factor
-        if factor > 0.0 and value < self.upper[dof]:
-            self.upper[dof], self.of_upper[dof] = value, limit
-        elif factor < 0.0 and value > self.lower[dof]:
-            self.lower[dof], self.of_lower[dof] = value, limit
+    def bound(self, rows: Array, sides: Array, limit: str) -> None:
+        """Take in rows `(r, nv)` · Δq <= sides `(r,)`, each of one entry."""
+        dofs = (rows != 0.0).argmax(axis=1)
+        factors = rows[np.arange(len(rows)), dofs]
+        above, values = factors > 0.0, sides / factors
+        upper, lower = np.full(len(self.upper), np.inf), np.full(len(self.lower), -np.inf)
+        np.minimum.at(upper, dofs[above], values[above])
+        np.maximum.at(lower, dofs[~above], values[~above])
+        for mine, other, of, tighter in (
+            (self.upper, upper, self.of_upper, upper < self.upper),
+            (self.lower, lower, self.of_lower, lower > self.lower),
+        ):
+            mine[tighter] = other[tighter]
+            of.update(dict.fromkeys(np.flatnonzero(tighter).tolist(), limit))
 
     def row(self, row: Array, side: float, name: str) -> None:
         """Take in row · Δq <= side."""
@@ -95,12 +102,11 @@ def _collect(pool: _Pool, configuration: mink.Configuration, limit: mink.Limit, 
     if np.isnan(sides).any() or not np.isfinite(matrix).all():
         raise InputError(f"{name} has rows that are not finite at this configuration; expected numbers.")
     entries = np.count_nonzero(matrix, axis=1)
-    for place in np.flatnonzero(sides < np.inf):
+    binding, single = sides < np.inf, entries == 1
+    pool.bound(matrix[binding & single], sides[binding & single], name)
+    for place in np.flatnonzero(binding & ~single):
         row, side = matrix[place], float(sides[place])
-        if entries[place] == 1:
-            dof = int(np.flatnonzero(row)[0])
-            pool.bound(dof, float(row[dof]), side, name)
-        elif entries[place] or side < 0.0:
+        if entries[place] or side < 0.0:
             called = row_name(configuration.model, limit, name, int(place), row)
             if not entries[place]:
                 raise _impossible(f"{called} moves with no joint, but must not exceed {side:g}: no step keeps it.")

@@ -50,5 +50,5 @@ class Pose(FrameTask):
 
     def _rows(self, robot: Robot) -> tuple[Array, Array]:
         turn = turn_between(self._rotation(robot), self.target[:3, :3])
-        error = np.append(self.target[:3, 3] - self._position(robot), turn)
+        error = np.concatenate([self.target[:3, 3] - self._position(robot), turn])
         return np.vstack(self._jacobians(robot)), error

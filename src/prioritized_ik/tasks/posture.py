@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from prioritized_ik.errors import InputError
 from prioritized_ik.robot import Robot
 from prioritized_ik.tasks.task import Task
-from prioritized_ik.validation import Array, finite_array, shape_of
+from prioritized_ik.validation import Array, finite_array, read_only, shape_of
 
 
 class Posture(Task):
@@ -33,6 +33,7 @@ class Posture(Task):
             raise InputError(f"robot of a posture is of type {type(robot).__name__}; expected a Robot.")
         model = robot.model
         self._dofs = np.flatnonzero(model.jnt_type[model.dof_jntid] != int(mujoco.mjtJoint.mjJNT_FREE))
+        self._matrix = read_only(np.eye(model.nv)[self._dofs])
         each = robot.dof_values("weights of posture", weights)[self._dofs] if isinstance(weights, Mapping) else weights
         super().__init__(robot, len(self._dofs), "posture", gain, each)
         self.target = robot.q if target is None else target
@@ -59,4 +60,4 @@ class Posture(Task):
     def _rows(self, robot: Robot) -> tuple[Array, Array]:
         error = np.empty(robot.model.nv)
         mujoco.mj_differentiatePos(robot.model, error, 1.0, robot.q, self.target)
-        return np.eye(robot.model.nv)[self._dofs], error[self._dofs]
+        return self._matrix, error[self._dofs]
