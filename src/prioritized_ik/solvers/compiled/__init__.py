@@ -6,6 +6,7 @@
     core.cpp       the core's interface, exchange.hpp, what it and Python say to each other
     step.hpp       the course of a call, on layers: posed.hpp (the problem in its metric), factored.hpp (one factorisation
                    for all levels), face.hpp (the step where some rows hold), certificate.hpp, written.hpp, active_set.hpp
+    packed.hpp     problems that are handed over as one array, see ../../packed.py
     dense.hpp      the linear algebra beneath; with singular_values.hpp and nonnegative.hpp
     tree.hpp       the elimination along a kinematic tree, for tree.py, see solvers/tree
     winding.hpp    a winding controller's look and the numbers of its problem, for winding/compiled.py

@@ -45,13 +45,23 @@ class Step : public ActiveSet {
         for (int i = 0; i < all_; i++) guessed = guessed || (io.guess[i] && side_[i] < INFINITE);
 
         // Rows of the last step come first, as a rule they are right. A step that they hold by a multiplier is not the closed
-        // form's; any other may be, and where they are not right at once the closed form has the first word. With soft levels
-        // it has it always: what its length is for needs factors of its own.
+        // form's; any other may be, and where they are not right at once the closed form has the first word. Where soft rows
+        // are exceeded it has it always: it has factors of its own.
         closed_form_ = -1.0;
-        const bool is_begun = guessed && question == STEP && !soft_;
-        if (is_begun) {
+        bool is_begun = false;
+        if (guessed && question == STEP) {
             start_from_guess();
-            if (search(1) && io.lists[HOLDING]) return SOLVED;
+            is_begun = !exceeds();
+            bool is_declined = false;
+            try {
+                if (is_begun && search(1) && io.lists[HOLDING]) return SOLVED;
+            } catch (const Declined&) {
+                is_declined = true;
+            }
+            const bool is_factored_anew = is_begun && exceeds();
+            is_begun = is_begun && !is_factored_anew && !is_declined;
+            std::memset(exceeded_, 0, all_);
+            if (is_factored_anew) refactor();
             std::fill_n(io.lists.begin(), int(COUNTS), 0);
         }
         face(nullptr, 0);
@@ -68,7 +78,7 @@ class Step : public ActiveSet {
         // From nothing a search takes about a set a row, with soft levels a few: from a guess it is to be right sooner.
         if (guessed) {
             if (!is_begun) start_from_guess();
-            if (soft_) refactor();
+            if (exceeds()) refactor();
             if (search(1 + guessed_ / PATIENCE)) return SOLVED;
             std::memset(exceeded_, 0, all_);
             if (soft_) refactor();
@@ -106,6 +116,8 @@ class Step : public ActiveSet {
         }
         start_search();
     }
+
+    bool exceeds() const { return std::any_of(exceeded_, exceeded_ + all_, [](uint8_t is) { return is != 0; }); }
 
     int guessed_ = 0;  // rows
 };
