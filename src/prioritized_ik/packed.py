@@ -95,6 +95,11 @@ class PackedProblem(IKProblem):
         """See `IKProblem.pattern`."""
         return self.layout.pattern
 
+    @property
+    def joint_count(self) -> int:
+        """Number of joints m."""
+        return self.layout.pattern.joint_count
+
     def late_fields(self) -> dict[str, Any]:
         """Return the fields that are made late."""
         pattern, parts = self.layout.pattern, self.layout.parts(self.numbers)

@@ -160,3 +160,11 @@ def assert_same(one: IKProblem, other: IKProblem) -> None:
         assert part.tobytes() == same.tobytes()
     assert [level.name for level in one.levels] == [level.name for level in other.levels]
     assert (one.metric == other.metric).all()
+
+
+@pytest.mark.skipif(get_method("active-set").path == "python", reason="the Python form looks at the parts")
+def test_a_solve_takes_the_numbers_as_they_are_without_parting_them():
+    frozen = LiveProblem(fresh(numbers(0))).frozen()
+    step = get_method("active-set").step(frozen)
+    assert step.path == "compiled"
+    assert vars(frozen).keys() == {"layout", "numbers"}
