@@ -168,7 +168,9 @@ class Search:
         if self._worst(u) < 0.0:
             return None
         active = self.nothing()
-        ended_on: set[bytes] = set()  # sets whose step was reached: each is better than those before
+        dropped: dict[
+            bytes, int
+        ] = {}  # of sets whose step was reached, how many of the rows that pull were dropped in turn
         for more in range(SINGLES * (len(u) + len(active.held))):
             target = self.face(active)
             if target is None:
@@ -182,10 +184,13 @@ class Search:
             proof = TreeProof(posed, self._factors, u, active, scale)
             if not proof.levels[-1].pulls:
                 return Found(u, proof, active, corrections + more) if proof.holds_with_margin else None
-            if active.key in ended_on:
+            # Back at a set, the row that was dropped there holds a level above by less than rounding shows: then the next.
+            turn = dropped.get(active.key, 0)
+            dropped[active.key] = turn + 1
+            following = _without_one(proof, active, turn)
+            if following is None:
                 return None
-            ended_on.add(active.key)
-            active = _without_worst(proof, active)
+            active = following
         return None
 
     def _towards(self, u: Array, target: Array, active: ActiveSet, broken: ActiveSet) -> tuple[Array, ActiveSet]:
@@ -229,13 +234,16 @@ class Search:
         return max(size, FLOOR * self._closed_form_length) or 1.0
 
 
-def _without_worst(proof: TreeProof, active: ActiveSet) -> ActiveSet:
-    """Return the set without the row that pulls most."""
-    last = proof.levels[-1]
+def _without_one(proof: TreeProof, active: ActiveSet, turn: int) -> ActiveSet | None:
+    """Return the set without one of the rows that pull, the most first, by turns; None after the last."""
+    last, m = proof.levels[-1], len(active.side)
+    pulls = np.concatenate([np.where(last.wrong_bounds, last.bounds, 0.0), np.where(last.wrong_rows, last.rows, 0.0)])
+    if turn >= np.count_nonzero(pulls):
+        return None
+    place = int(np.argsort(pulls)[turn])
     side, held = active.side.copy(), active.held.copy()
-    bounds, rows = np.where(last.wrong_bounds, last.bounds, 0.0), np.where(last.wrong_rows, last.rows, 0.0)
-    if bounds.min(initial=0.0) <= rows.min(initial=0.0):
-        side[bounds.argmin()] = 0
+    if place < m:
+        side[place] = 0
     else:
-        held[rows.argmin()] = False
+        held[place - m] = False
     return ActiveSet(side, held)
