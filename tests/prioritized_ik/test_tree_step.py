@@ -1,4 +1,5 @@
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -117,6 +118,14 @@ def test_what_the_links_do_not_know_is_solved_by_matrices(what):
     step = _step(_declined()[what], ALONG_LINKS)
     assert step.path != PATH
     assert step.dtheta is not None
+
+
+def test_problems_on_a_tree_go_to_other_processes_and_their_steps_come_back():
+    problem = _random(1)
+    there = pickle.loads(pickle.dumps(problem))
+    step = pickle.loads(pickle.dumps(_step(there, ALONG_LINKS)))
+    assert step.path == PATH
+    np.testing.assert_array_equal(step.dtheta, _step(problem, ALONG_LINKS).dtheta)
 
 
 def test_an_unknown_form_is_refused():
