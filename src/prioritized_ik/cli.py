@@ -133,7 +133,9 @@ def solve(
 @click.option("--keyframe", help="Keyframe of --scene to start from.")
 @click.option("--direction", default="up", help="Where the object comes from: up, down, front or back.")
 @click.option("--solver", default="active-set", help="A method, or a QP solver for lexicographic:SOLVER; see `solvers`.")
-@click.option("--formulation", hidden=True, help="Old spelling: `--solver proxqp --formulation damped` is damped:proxqp.")
+@click.option(
+    "--formulation", hidden=True, help="`--solver proxqp --formulation damped` is damped:proxqp; or lifted, slack, dense."
+)
 @click.option("--weights", default="eq23", help="Weights of the arms: eq23 or eq24; or strict, levels in place of weights.")
 @click.option("--links", default=17, help="Number of links n.")
 @click.option(
@@ -191,7 +193,7 @@ def wind(
     from prioritized_ik.models import Arm
     from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
     from prioritized_ik.solvers.lexicographic import SolveOptions
-    from prioritized_ik.solvers.registry import LEXICOGRAPHIC, old_name
+    from prioritized_ik.solvers.registry import DENSE, LEXICOGRAPHIC, LIFTED, old_name
     from prioritized_ik.validation import one_of, positive
     from prioritized_ik.winding.episode import wind as run
     from prioritized_ik.winding.metrics import ROUND_SHAPES, measure
@@ -217,7 +219,8 @@ def wind(
         require_screen()
     if formulation is not None:
         unnamed = click.get_current_context().get_parameter_source("solver") is ParameterSource.DEFAULT
-        solver = old_name("daqp" if unnamed and formulation != LEXICOGRAPHIC else solver, formulation)
+        usual = {LEXICOGRAPHIC: solver, DENSE: solver, LIFTED: "piqp"}.get(formulation, "daqp")
+        solver = old_name(usual if unnamed else solver, formulation)
     free = solver == CLOSED_FORM  # the closed form knows no limits
     control: dict[str, Any] = {
         "weights": weights,

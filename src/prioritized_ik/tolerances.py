@@ -127,6 +127,13 @@ TIGHT = 3e-7
 #: constraint, and at 3e-7 and below ProxQP lost a winding. A solver only makes a guess, which the kernel corrects.
 SETTLED_FOR_SOLVERS = 2e-6
 
+#: [of the largest, at least of a stage's unit] In the lifted form a bound or row with a multiplier above this holds for the
+#: levels below. A false one costs the kernel that starts there an exchange, a missing one leaves the next QP no interior.
+HELD_MULTIPLIER = 1e-9
+
+#: [of the size of step that the levels ask for] No bound or row further from the answer than this is held there.
+HELD_SLACK = 1e-5
+
 #: [–] Tight rows that leave a wedge narrower than this leave no room to a QP solver: solvers fail on narrower ones.
 NARROW = 1e-5
 

@@ -27,6 +27,7 @@ from comparisons.summary import summarise
 from comparisons.tables import EPISODES, JOB
 from prioritized_ik.cli import main
 from prioritized_ik.errors import InputError, SolverUnavailableError, StepNotFoundError
+from prioritized_ik.kinematic_tree import KinematicTree, PointRows
 from prioritized_ik.problem import Bounds, IKProblem, Level
 from prioritized_ik.solvers import registry
 from prioritized_ik.solvers.backends.registry import installed_solvers
@@ -35,6 +36,7 @@ from prioritized_ik.solvers.methods import ActiveSet, ClosedForm, Lexicographic,
 from prioritized_ik.solvers.registry import get_method, installed_methods, known_methods
 from prioritized_ik.solvers.solve import solve, step_of
 from prioritized_ik.solvers.step import JointStep, StepStatus
+from prioritized_ik.tree_problem import TreeLevel
 from prioritized_ik.winding.episode import Outcome, wind
 from prioritized_ik.winding.settings import WindingSettings
 
@@ -47,7 +49,15 @@ REACH = Level([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]], [1.0, 0.0, 0
 FREE = IKProblem([REACH], Bounds([-1.0] * 3, [1.0] * 3))
 BOUND = replace(FREE, bounds=Bounds([-1.0] * 3, [0.25, 1.0, 0.3]))
 FREE_ANSWER, BOUND_ANSWER = [0.5, 0.5, 0.7], [0.25, 0.5, 0.3]
+#: The same problem as points on a kinematic tree, three slides in a row, for methods that take no matrix.
+SLIDES = KinematicTree([-1, 0, 1], np.zeros((3, 3)), [[1, 1, 0], [1, -1, 0], [0, 0, 1]], np.zeros((3, 3)))
+REACH_ON_TREE = TreeLevel(PointRows(SLIDES, [2, 2, 2], np.zeros((3, 3)), np.eye(3)), REACH.target)
 LOOSE = 0.1  # of solvers called once, with their default options
+
+
+def posed(name: str, problem: IKProblem) -> IKProblem:
+    """Return the problem as the method of a name takes it."""
+    return problem.with_levels([REACH_ON_TREE]) if name.startswith("lifted:") else problem
 
 
 class Standing(Method):
@@ -90,7 +100,7 @@ def added(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Callable[[float], M
 
 @pytest.mark.parametrize("name", POSED)
 def test_every_method_solves_a_small_problem_and_names_itself_in_its_step(name: str) -> None:
-    step = solve(FREE, name)
+    step = solve(posed(name, FREE), name)
     assert step.method == get_method(name).name == name
     assert step.certificate is not None
     assert step.dtheta == pytest.approx(FREE_ANSWER, abs=LOOSE)
@@ -154,7 +164,9 @@ def test_the_formulation_of_the_command_line_is_the_family_of_a_method() -> None
         assert CliRunner().invoke(main, [*few, *arguments]).exit_code == 1  # not wound in two steps
     assert registry.old_name("quadprog", "slack") == "slack:quadprog"
     assert registry.old_name("quadprog", "lexicographic") == "quadprog"
-    with pytest.raises(InputError, match="unknown formulation 'magic'; choose one of: lexicographic, damped, slack"):
+    with pytest.raises(
+        InputError, match="unknown formulation 'magic'; choose one of: lexicographic, dense, lifted, damped, slack"
+    ):
         registry.old_name("quadprog", "magic")
 
 
@@ -224,10 +236,10 @@ def test_families_of_other_packages_are_found_by_their_entry_point(monkeypatch: 
 def test_methods_pickle_and_copy_used_or_not(name: str, used: bool) -> None:
     method, options = get_method(name), SolveOptions(closed_form_first=False)
     if used:
-        step_of(method, FREE, options)
+        step_of(method, posed(name, FREE), options)
     for twin in (copy.copy(method), copy.deepcopy(method), pickle.loads(pickle.dumps(method))):
         assert (type(twin), twin.name, twin.version) == (type(method), method.name, method.version)
-        assert twin.step(FREE, options).dtheta == pytest.approx(FREE_ANSWER, abs=LOOSE)
+        assert twin.step(posed(name, FREE), options).dtheta == pytest.approx(FREE_ANSWER, abs=LOOSE)
 
 
 def test_a_used_mink_is_pickled_without_what_mink_set_up() -> None:

@@ -16,7 +16,8 @@ The map of one solve, in the order in which it runs:
     conflict.find_conflict      where no step keeps all hard rows: the smallest set in conflict
     explain, report             which level gave way and to what; what was cut
 
-The methods `damped` and `slack`, for comparison, are one QP (stages) in place of the fold, and `closed-form` is Eqs. 12-14
+The methods `lifted` make the guess in sparse QPs, link by link on a kinematic tree (`lifted`). `damped` and `slack`,
+for comparison, are one QP (stages) in place of the fold, and `closed-form` is Eqs. 12-14
 alone. Packages add families: `comparisons.methods` those of mink and of the reference in CVXPY.
 
 `subspaces.py` holds the geometry, `balance.py` the arithmetic of a proof, `prioritized_ik.tolerances` every threshold, and

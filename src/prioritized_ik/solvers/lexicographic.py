@@ -9,13 +9,14 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers import active_set
 from prioritized_ik.solvers.active_set import Active, Solution
-from prioritized_ik.solvers.backends.protocol import Backend, StageResult
+from prioritized_ik.solvers.backends.protocol import Backend
 from prioritized_ik.solvers.backends.registry import ACCURACY
 from prioritized_ik.solvers.certificate import Proof
 from prioritized_ik.solvers.compiled import fast
@@ -91,6 +92,16 @@ class RowMemory:
         self.last = rows
 
 
+class _Counts(Protocol):
+    """What a backend returns: it says how often the solver was called."""
+
+    @property
+    def calls(self) -> int: ...
+
+
+Called = TypeVar("Called", bound=_Counts)
+
+
 class Clock:
     """Times one solve, from when this is made, and the backend's part of it."""
 
@@ -99,7 +110,7 @@ class Clock:
         self.calls = 0
         self._started = time.perf_counter()
 
-    def timed(self, call: Callable[[], StageResult]) -> StageResult:
+    def timed(self, call: Callable[[], Called]) -> Called:
         """Return what a call of the backend returns."""
         started = time.perf_counter()
         result = call()

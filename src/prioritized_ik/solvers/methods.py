@@ -88,7 +88,7 @@ class _Own(Method):
             return "unknown"
 
 
-def _kernel_path() -> str:
+def kernel_path() -> str:
     """What the kernel runs on here, where the compiled core does not decline."""
     return "compiled" if library().core is not None else "python"
 
@@ -101,7 +101,7 @@ class ActiveSet(_Own):
     @property
     def path(self) -> str:
         """See `Method.path`."""
-        return _kernel_path()
+        return kernel_path()
 
     def __init__(self) -> None:
         self._memory = RowMemory()
@@ -132,7 +132,7 @@ class Guessing(Method):
     @property
     def path(self) -> str:
         """See `Method.path`; of the kernel."""
-        return _kernel_path()
+        return kernel_path()
 
     def step(self, problem: IKProblem, options: SolveOptions | None = None, place: Place | None = None) -> JointStep:
         """See `Method.step`."""

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from importlib.metadata import entry_points
 
 from prioritized_ik.errors import InputError, SolverUnavailableError
-from prioritized_ik.solvers.backends.abilities import ABILITIES
+from prioritized_ik.solvers.backends.abilities import ABILITIES, SPARSE, abilities_of
 from prioritized_ik.solvers.backends.registry import (
     ACCURACY,
     checked_accuracy,
     get_backend,
     installed_solvers,
+    installed_sparse,
     known_solvers,
     through_qpsolvers,
 )
@@ -29,7 +30,10 @@ from prioritized_ik.validation import one_of
 DEFAULT = ActiveSet.name
 
 #: Families of this package.
-LEXICOGRAPHIC, DAMPED, SLACK = "lexicographic", Damped.family, Slack.family
+LEXICOGRAPHIC, LIFTED, DAMPED, SLACK = "lexicographic", "lifted", Damped.family, Slack.family
+
+#: What the older option `formulation` calls `LEXICOGRAPHIC` beside `LIFTED`.
+DENSE = "dense"
 
 DAQP_HIERARCHY = "daqp-hierarchy"
 
@@ -56,6 +60,19 @@ def _lexicographic(solver: str, accuracy: float, refine: bool) -> Method:
     return Lexicographic(get_backend(solver, accuracy, refine=refine))
 
 
+def _lifted(solver: str, accuracy: float, refine: bool) -> Method:
+    """Return the lifted method of a sparse solver. Its module imports SciPy's sparse matrices, so it waits until now."""
+    if solver not in SPARSE:
+        raise InputError(f"the lifted form is for sparse QP solvers, not {solver!r}; choose one of: {', '.join(SPARSE)}.")
+    if solver not in installed_sparse():
+        package = abilities_of(solver).package
+        raise SolverUnavailableError(f"solver {solver!r} is not installed; install it with: pip install {package}.")
+    from prioritized_ik.solvers.backends.sparse import SparseBackend
+    from prioritized_ik.solvers.lifted.method import Lifted
+
+    return Lifted(SparseBackend(solver, checked_accuracy(accuracy, solver), refine=refine))
+
+
 def _damped(solver: str, accuracy: float, refine: bool) -> Method:
     return Damped(get_backend(solver, accuracy, refine=refine))
 
@@ -74,6 +91,12 @@ def _through_qpsolvers(on_request: bool) -> list[str]:
 
 _families = {
     LEXICOGRAPHIC: Family(_lexicographic, known_solvers, _installed, "a QP solver's guess, level by level, made exact"),
+    LIFTED: Family(
+        _lifted,
+        lambda: sorted(SPARSE),
+        lambda on_request: installed_sparse(),
+        "a sparse QP solver's, link by link on a kinematic tree, made exact",
+    ),
     DAMPED: Family(_damped, known_solvers, _installed, "for comparison: the one damped QP of mink and pink"),
     SLACK: Family(_slack, lambda: sorted(ABILITIES), _through_qpsolvers, "for comparison: its optimum without squaring J"),
 }
@@ -162,8 +185,8 @@ def old_name(solver: str, formulation: str) -> str:
     Raises:
         InputError: no such formulation.
     """
-    one_of("formulation", formulation, (LEXICOGRAPHIC, DAMPED, SLACK))
-    return solver if formulation == LEXICOGRAPHIC else f"{formulation}:{solver}"
+    one_of("formulation", formulation, (LEXICOGRAPHIC, DENSE, LIFTED, DAMPED, SLACK))
+    return solver if formulation in (LEXICOGRAPHIC, DENSE) else f"{formulation}:{solver}"
 
 
 def _singles() -> dict[str, Callable[[float], Method]]:

@@ -176,6 +176,10 @@ NATIVE: dict[str, Abilities] = {
 }
 
 
+#: Solvers of sparse QPs and what they are imported as, see `sparse`; what they can do is as through qpsolvers.
+SPARSE = {"clarabel": "clarabel", "highs": "highspy", "osqp": "osqp", "piqp": "piqp", "proxqp": "proxsuite"}
+
+
 def abilities_of(name: str) -> Abilities:
     """Return what solver `name` can do; one that the table lacks counts as careful: dense, positive definite only."""
     return NATIVE.get(name) or ABILITIES.get(name, Abilities(name, semidefinite=False, on_request=True))

@@ -10,6 +10,7 @@ import qpsolvers
 from prioritized_ik.solvers.backends.abilities import Options
 from prioritized_ik.solvers.backends.native import Answer, Workspace
 from prioritized_ik.solvers.backends.protocol import SolverFailedError
+from prioritized_ik.solvers.backends.sparse_qp import SparseAnswer
 from prioritized_ik.validation import Array
 
 
@@ -36,3 +37,18 @@ class PiqpWorkspace(Workspace):
             raise SolverFailedError(f"found no solution ({status.name})")
         result = self._solver.result
         return Answer(np.array(result.x), np.array(result.z_u), result.info.iter)
+
+
+def solve_sparse(problem: qpsolvers.Problem, options: Options) -> SparseAnswer:
+    """Return the answer to one sparse QP, see `sparse_qp`."""
+    solver = piqp.SparseSolver()
+    for name, value in options.items():
+        setattr(solver.settings, name, value)
+    sides = {"x_l": problem.lb, "x_u": problem.ub}
+    solver.setup(problem.P, problem.q, A=problem.A, b=problem.b, G=problem.G, h_u=problem.h, **sides)
+    status = solver.solve()
+    result = solver.result
+    if status != piqp.PIQP_SOLVED:
+        raise SolverFailedError(f"found no solution ({status.name} after {result.info.iter} iterations)")
+    rows = np.zeros(0) if problem.h is None else np.array(result.z_u)
+    return SparseAnswer(np.array(result.x), result.z_bu - result.z_bl, rows, result.info.iter)

@@ -11,6 +11,7 @@ from proxsuite import proxqp
 from prioritized_ik.solvers.backends.abilities import Options
 from prioritized_ik.solvers.backends.native import UNBOUNDED, Answer, Workspace, full_pattern, start_with
 from prioritized_ik.solvers.backends.protocol import SolverFailedError
+from prioritized_ik.solvers.backends.sparse_qp import AllRows, SparseAnswer
 from prioritized_ik.validation import Array
 
 
@@ -49,3 +50,18 @@ class SparseProxqpWorkspace(ProxqpWorkspace):
 
     solver = proxqp.sparse.QP
     _rows_sent = staticmethod(full_pattern)
+
+
+def solve_sparse(problem: qpsolvers.Problem, options: Options) -> SparseAnswer:
+    """Return the answer to one sparse QP, see `sparse_qp`."""
+    rows = AllRows.of(problem, equalities=False)
+    lower, upper = np.maximum(rows.lower, UNBOUNDED), np.minimum(rows.upper, -UNBOUNDED)
+    qp = proxqp.sparse.QP(len(problem.q), len(problem.b), len(lower))
+    for name, value in options.items():
+        setattr(qp.settings, name, value)
+    qp.init(problem.P, problem.q, problem.A, problem.b, rows.matrix, lower, upper)
+    qp.solve()
+    info = qp.results.info
+    if info.status != proxqp.QPSolverOutput.PROXQP_SOLVED:
+        raise SolverFailedError(f"found no solution ({info.status.name} after {info.iter} iterations)")
+    return rows.answer(qp.results.x, np.array(qp.results.z), info.iter)

@@ -5,7 +5,7 @@ import importlib.util
 from numbers import Real
 
 from prioritized_ik.errors import InputError, SolverUnavailableError
-from prioritized_ik.solvers.backends.abilities import ABILITIES, NATIVE, abilities_of
+from prioritized_ik.solvers.backends.abilities import ABILITIES, NATIVE, SPARSE, abilities_of
 from prioritized_ik.solvers.backends.protocol import Backend
 from prioritized_ik.validation import fraction
 
@@ -30,6 +30,11 @@ def installed_solvers(*, on_request: bool = False) -> list[str]:
     native = (name for name in NATIVE if _is_installed(name))
     names = sorted({*through_qpsolvers(), *native})
     return [name for name in names if on_request or not abilities_of(name).on_request]
+
+
+def installed_sparse() -> list[str]:
+    """Return the names of the solvers of sparse QPs that can run here, see `sparse`."""
+    return sorted(name for name, module in SPARSE.items() if importlib.util.find_spec(module) is not None)
 
 
 def get_backend(name: str, accuracy: float = ACCURACY, *, refine: bool = True) -> Backend:
