@@ -256,6 +256,19 @@ def test_a_humanoid_keeps_feet_and_balance_strictly_and_comes_to_rest(crouched, 
         assert max(np.linalg.norm(hand.rows(robot)[1]) for hand in hands) < 1e-6
 
 
+def test_at_rest_with_targets_along_straight_arms_and_out_of_reach_every_step_is_proven():
+    robot = example("humanoid")
+    hands = [Position(robot, site=f"{side} hand") for side in ("left", "right")]
+    for hand in hands:
+        hand.target = hand.target + np.array([0.0, 0.0, -0.8])
+    levels = [[Pose(robot, site=f"{side} foot") for side in ("left", "right")], CentreOfMass(robot, gain=0.2), hands]
+    for _ in range(40):
+        step = solve_step(robot, [*levels, Posture(robot, gain=0.1)], [JointRange(robot), Velocity(robot, 3.0)], DT).step
+        assert step.certificate.holds, step.certificate
+        assert np.abs(step.dtheta).max() < 1e-8  # all that is asked for is out of reach
+        robot.integrate(step.dtheta / DT, DT)
+
+
 def test_reach_says_which_joint_is_at_its_stop():
     robot = _bent_arm()
     turned = Posture(robot, [0.3, 0.5, 0.2, -0.4, 0.1, 0.6, 0.0], gain=0.5)

@@ -275,9 +275,22 @@ class Hierarchy:
     def length(self) -> float:
         """What the step may measure, with room: the closed form or the way out of broken rows; the median slack if less."""
         slack = self.rows.slack(self.start)
-        likely = max(length(self.closed_form), float(-slack.min(initial=0.0)))
+        likely = max(length(self.closed_form), self._asked, float(-slack.min(initial=0.0)))
         slack = np.sort(slack[slack > 0.0])
         return AMPLE * (min(likely, float(slack[len(slack) // 2])) if len(slack) else likely) or 1.0
+
+    @property
+    def _asked(self) -> float:
+        """The shortest step that could give any `equal` level what it asks for, were all its rows along it.
+
+        Robots at rest, whose targets are out of reach, take none; but rounding of what is asked for is no shorter.
+        """
+        least = [0.0]
+        for level, block in zip(self.problem.levels, self.blocks, strict=True):
+            if isinstance(block, EqualBlock) and block.demand > 0.0:
+                strength = length(np.sqrt(level.weights) * lengths(level.matrix))
+                least.append(block.demand / strength if strength > 0.0 else 0.0)
+        return max(least)
 
     @cached_property
     def cut_problem(self) -> IKProblem:

@@ -278,8 +278,9 @@ class Face : public Factored {
         for (int i = hard_; i < all_; i++) worst_ = min(worst_, reach_[i]);
         size_ = norm(u_, m_);
         scale_ = size_;
-        if (size_ > tol_.FLOOR * max(closed_form_ < 0.0 ? longest_ : closed_form_, broken_) && size_ > 0.0) return;
-        const double likely = max(closed_form_length(), broken_);
+        const double least = max(broken_, asked());
+        if (size_ > tol_.FLOOR * max(closed_form_ < 0.0 ? longest_ : closed_form_, least) && size_ > 0.0) return;
+        const double likely = max(closed_form_length(), least);
         Scope scope(arena_);
         double *positive = arena_.doubles(all_), *slack = arena_.doubles(all_), length = likely;
         int n = 0;
@@ -291,6 +292,19 @@ class Face : public Factored {
             length = min(length, positive[n / 2]);
         }
         scale_ = max(size_, tol_.FLOOR * (length > 0.0 ? length : 1.0));
+    }
+
+    // The shortest step that could give any level what it asks for, see Hierarchy._asked.
+    double asked() const {
+        double least = 0.0;
+        for (int l = 0; l < now_.levels; l++) {
+            const Block& block = levels_[l];
+            if (block.is_soft || !(block.demand > 0.0)) continue;
+            double strength = 0.0;
+            for (int i = 0; i < block.n; i++) strength += block.root[i] * block.root[i] * block.length[i] * block.length[i];
+            if (strength > 0.0) least = max(least, block.demand / sqrt(strength));
+        }
+        return least;
     }
 
     // The length of the closed form, worked out when a step is so short that it matters.

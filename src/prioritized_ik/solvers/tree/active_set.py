@@ -229,7 +229,8 @@ class Search:
             if size * strength > LONG * wanted:
                 return size
             free = self.face(self.nothing())
-            self._closed_form_length = 0.0 if free is None else length(free)
+            asked = [self.posed.demand(i) / self.posed.strength(i) for i in numbers if self.posed.strength(i) > 0.0]
+            self._closed_form_length = max(0.0 if free is None else length(free), *asked)
             self._factor(active)
         return max(size, FLOOR * self._closed_form_length) or 1.0
 
