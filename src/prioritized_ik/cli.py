@@ -221,6 +221,8 @@ def wind(
         unnamed = click.get_current_context().get_parameter_source("solver") is ParameterSource.DEFAULT
         usual = {LEXICOGRAPHIC: solver, DENSE: solver, LIFTED: "piqp"}.get(formulation, "daqp")
         solver = old_name(usual if unnamed else solver, formulation)
+    if solver.startswith(f"{LIFTED}:") and kinematics == "auto":
+        kinematics = "tree"  # it takes no matrices, however short the arm
     free = solver == CLOSED_FORM  # the closed form knows no limits
     control: dict[str, Any] = {
         "weights": weights,

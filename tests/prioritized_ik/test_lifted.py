@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from trees import ball_chain, end_points, random_problem, random_tree
 
+from prioritized_ik.cli import main
 from prioritized_ik.errors import InputError
 from prioritized_ik.kinematic_tree import PointRows
 from prioritized_ik.problem import Equalities, IKProblem, Level, Rows, replaced
@@ -167,3 +169,9 @@ def test_dense_solvers_dampings_and_unknown_formulations_are_refused():
 
 def test_the_solvers_of_the_lock_are_all_there():
     assert installed_sparse() == sorted(SPARSE)
+
+
+def test_a_short_arm_winds_by_it_without_being_told_to_pose_no_matrices():
+    done = CliRunner().invoke(main, ["wind", "--formulation", "lifted", "--link", "12", "--steps", "3"])
+    assert done.exit_code == 1
+    assert "no equilibrium within max_steps" in done.output
