@@ -101,7 +101,7 @@ def test_wind_ends_with_one_when_the_arm_is_not_wound() -> None:
         (["wind", "--weights", "eq25"], "unknown weights 'eq25'; choose one of: eq23, eq24, strict"),
         (["wind", "--weights", "strict", "--formulation", "damped"], "takes one level, not 3; use 'lexicographic'"),
         (["wind", "--shape", "torus"], "unknown shape 'torus'"),
-        (["wind", "--formulation", "magic"], "unknown formulation 'magic'; choose one of: lexicographic, damped, slack"),
+        (["wind", "--formulation", "magic"], "unknown formulation 'magic'; choose one of: lexicographic, dense, lifted,"),
         (["wind", "--save", "/no/such/folder/e.npz"], "cannot write into '/no/such/folder'"),
         (["wind", "--record", "arm.bmp"], "unknown kind of picture '.bmp'; choose one of: .png, .gif, .webp, .mp4"),
         (["compare", "--solvers", "daqp,nosuch"], "unknown solver 'nosuch'"),
