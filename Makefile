@@ -44,7 +44,7 @@ types: setup
 unit: setup
 	$(BIN)/python -m pytest -n 2 --dist loadfile
 
-# The fast three quarters of the tests, within a minute.
+# The fast tests, within a minute.
 unit-fast: setup
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
 

@@ -2,9 +2,10 @@
 
 MODULES = frozenset(
     """
-    bench campaign cli compiled demonstrations distributed docs equation_audit extras facts hierarchies holding import_graph
-    interruption isolation jobs metrics native_backends page_in_chromium paper paper_kinematics paper_solvers
-    paper_windings qpbenchmark_set readme rendering rivals strict_winding survival torques viewer wind_own_robot
+    bench campaign cli compiled conflict demonstrations distributed docs equation_audit every_backend exactness extras
+    facts hierarchies holding import_graph interruption isolation jobs lifted metrics native_backends page_in_chromium
+    paper paper_kinematics paper_solvers paper_windings qpbenchmark_set readme rendering rivals strict_winding
+    survival torques tree_elimination tree_step viewer wind_own_robot witness
     """.split()
 )
 
@@ -64,20 +65,6 @@ TESTS = {
         "the_problem_of_a_step_names_joints_and_links",
         "a_full_disk_keeps_the_old_file_and_leaves_nothing_behind",
         "saving_twice_replaces_the_file",
-    ),
-    "every_backend": (
-        "a_solvers_own_constrained_step_keeps_every_row",
-        "a_solvers_own_free_step_is_the_closed_form",
-        "the_constrained_step_is_the_same_to_the_last_bit",
-        "the_free_step_is_the_same_to_the_last_bit",
-        "the_steps_to_judge_by_are_free_and_constrained_as_they_should_be",
-        "the_free_step_is_the_closed_form_and_to_the_last_bit_where_it_ends_on_no_row",
-        "a_certified_step_breaks_rows_by_rounding_only",
-        "ecos_own_free_step_is_the_closed_form_to_its_own_bound",
-    ),
-    "exactness": (
-        "the_constrained_steps_of_a_winding_lose_their_certificate_when_moved_by_a_ten_thousandth",
-        "the_free_steps_of_a_winding_are_eqs_12_and_13",
     ),
     "examples": ("an_example_runs_and_draws_its_picture",),
     "explain": ("a_winding_step_gives_way_to_named_bounds_and_contacts",),
@@ -175,9 +162,4 @@ TESTS = {
         "the_first_stages_variables_reach_every_joint_step",
     ),
     "subspaces": ("of_the_random_cones_some_hold_no_row_some_a_few_and_some_all",),
-    "tree_step": (
-        "longer_arms_have_the_same_steps_too",
-        "steps_along_the_links_are_those_of_matrices",
-    ),
-    "witness": ("the_library_and_the_witness_agree_on_constrained_winding_steps",),
 }
