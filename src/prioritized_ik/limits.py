@@ -119,6 +119,11 @@ def contact_row_name(link: int, wound: str = OBJECT) -> str:
     return f"contact of link {link}" + (f" with {wound}" if wound != OBJECT else "")
 
 
+def contact_sides(distance: Array, min_distance: float, gain: float) -> Array:
+    """Return the sides gain max(d - d_min, 0) of contact rows `(k,)` [m]."""
+    return gain * np.maximum(distance - min_distance, 0.0)
+
+
 def contact_rows(
     sensor: TouchSensor,
     data: mujoco.MjData,
@@ -167,7 +172,7 @@ def contact_rows(
         near, distance, normal, gradients = near[some], distance[some], normal[some], gradients[some]
     matrix = (-normal[:, None, :] @ gradients)[:, 0]
     gap = distance - min_distance
-    upper = gain * np.maximum(gap, 0.0)
+    upper = contact_sides(distance, min_distance, gain)
     if push_out:
         upper = np.where(gap < 0.0, np.maximum(gap, -push_out), upper)
     names = tuple(contact_row_name(link + 1, sensor.object_name) for link in near.tolist())

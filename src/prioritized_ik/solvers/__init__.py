@@ -20,6 +20,9 @@ The methods `lifted` make the guess in sparse QPs, link by link on a kinematic t
 for comparison, are one QP (stages) in place of the fold, and `closed-form` is Eqs. 12-14
 alone. Packages add families: `comparisons.methods` those of mink and of the reference in CVXPY.
 
-`subspaces.py` holds the geometry, `balance.py` the arithmetic of a proof, `prioritized_ik.tolerances` every threshold, and
-`witness.py` a reference in CVXPY that shares no code with any of this.
+Long arms go joint by joint (`tree`), where `joint_step` asks it first; most other problems through the core in C++
+(`compiled`), which it asks next.
+
+`subspaces.py` holds the geometry, `balance.py` and `level_proof.py` the arithmetic of a proof,
+`prioritized_ik.tolerances` the thresholds, and `witness.py` a reference in CVXPY that shares no code with any of this.
 """

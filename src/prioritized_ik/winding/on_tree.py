@@ -3,7 +3,7 @@
 import numpy as np
 
 from prioritized_ik.kinematic_tree import PointRows
-from prioritized_ik.limits import contact_row_name
+from prioritized_ik.limits import contact_row_name, contact_sides
 from prioritized_ik.model_tree import ModelTree, unit_axes
 from prioritized_ik.touch import Touch
 from prioritized_ik.tree_problem import TreeLevel, TreeRows
@@ -34,7 +34,7 @@ class OnTree:
         """Return what `limits.contact_rows` does, on the tree of `points`."""
         near = np.flatnonzero(touch.distance < margin)
         rows = PointRows.trusted(points.tree, self._links[near], touch.point[near], -touch.normal[near])
-        upper = gain * np.maximum(touch.distance[near] - min_distance, 0.0)
+        upper = contact_sides(touch.distance[near], min_distance, gain)
         wound = self._sensor.object_name
         return TreeRows.trusted(rows, upper, tuple(contact_row_name(link + 1, wound) for link in near.tolist()))
 
