@@ -154,7 +154,9 @@ class Certified : public Face {
                     place[n++] = i;
                     held += pass == 0;
                 }
-            if (!balance(normals, n, held, v, g.values, combination)) return pulls(own, normals, place, n, held, v, g);
+            // What is left this long is longer than the step that is allowed, see as_step.
+            const double most = tol_.CERTIFIED * scale_ / (tol_.MARGIN * min(block ? 1.0 / block->strength : 1.0, far));
+            if (!balance(normals, n, held, v, g.values, most, combination)) return pulls(own, normals, place, n, held, v, g);
         }
 
         // What is left of the gradient; where that is not nothing yet, the combination is improved by what is left.
@@ -279,14 +281,15 @@ class Certified : public Face {
         return rank > 0;
     }
 
-    // The combination of normals (n), of either sign for the first `held`, that balances the gradient best.
-    bool balance(const double* normals, int n, int held, int v, const double* gradient, double* combination) {
+    // The combination of normals (n), of either sign for the first `held`, that balances the gradient best; false if there is
+    // none that leaves `most` or less.
+    bool balance(const double* normals, int n, int held, int v, const double* gradient, double most, double* combination) {
         for (int i = 0; i < n; i++) combination[i] = 0.0;
         if (!n) return true;
         Scope scope(arena_);
         double* side = arena_.zeros(stride);
         for (int j = 0; j < v; j++) side[j] = -gradient[j];
-        if (!held) return nonnegative_least_squares(normals, stride, n, v, side, combination, arena_);
+        if (!held) return nonnegative_least_squares(normals, stride, n, v, side, combination, most, arena_);
         double* columns = arena_.doubles(size_t(n + 1) * stride);
         int* order = arena_.array<int>(held);
         copy(normals, columns, size_t(n) * stride);
@@ -300,7 +303,7 @@ class Certified : public Face {
             double *shorter = arena_.zeros(size_t(others) * s), *target = arena_.zeros(s);
             for (int i = 0; i < others; i++) copy(columns + size_t(held + i) * stride + rank, shorter + size_t(i) * s, left);
             copy(turned + rank, target, left);
-            if (!nonnegative_least_squares(shorter, s, others, left, target, combination + held, arena_)) return false;
+            if (!nonnegative_least_squares(shorter, s, others, left, target, combination + held, most, arena_)) return false;
         }
         double* z = arena_.zeros(stride);
         copy(turned, z, rank);

@@ -5,10 +5,21 @@
 
 namespace prioritized_ik {
 
+// Whether all x >= 0 leave more than `most` where independent rows, with the triangle R, are balanced best by z: the lowest
+// of z would have to change by its own size at least, times the distance of its row from what the others span.
+inline bool leaves_more(const Triangle& R, const double* z, double most, Arena& arena) {
+    Scope scope(arena);
+    const int k = R.size, lowest = int(std::min_element(z, z + k) - z);
+    double* inverse = arena.zeros(k);  // the lowest's row of R^-1, whose length is one over that distance
+    inverse[lowest] = 1.0;
+    R.solve_transposed(inverse);
+    return -z[lowest] > most * norm(inverse, k);
+}
+
 // x >= 0 that makes |N^T x - target| least, N `t` rows of n, about unit length (Lawson and Hanson). All rows at once are
-// tried first. Returns whether it ended.
+// tried first. Returns whether it ended; it does not where no x >= 0 leaves less than `most`, and that is plain to see.
 inline bool nonnegative_least_squares(const double* rows, int stride, int t, int n, const double* target, double* x,
-                                      Arena& arena) {
+                                      double most, Arena& arena) {
     constexpr double LEFT_OUT = 1e-11, DEPENDENT = 1e-13, GAIN = 1e-14;
     Scope scope(arena);
     double *columns = arena.doubles(size_t(t + 1) * stride), *z = arena.doubles(t + 1), *rest = arena.doubles(stride);
@@ -57,17 +68,18 @@ inline bool nonnegative_least_squares(const double* rows, int stride, int t, int
         for (int j = 0; j < k; j++) x[order[j]] = z[j];
         return true;
     }
+    if (k == t && leaves_more(Triangle{columns, stride, k}, z, most, arena)) return false;
     for (int i = 0; i < t; i++) inside[i] = 0;
     for (int iteration = 0; iteration < 3 * t + 30; iteration++) {
         copy(target, rest, n);
         for (int i = 0; i < t; i++)
             if (x[i] != 0.0) add(-x[i], rows + size_t(i) * stride, rest, n);
         int best = -1;
-        double most = GAIN * size * sqrt(double(n));
+        double highest = GAIN * size * sqrt(double(n));
         for (int i = 0; i < t; i++)
             if (!inside[i]) {
                 const double gain = dot(rows + size_t(i) * stride, rest, n);
-                if (gain > most) most = gain, best = i;
+                if (gain > highest) highest = gain, best = i;
             }
         if (best < 0) return true;
         inside[best] = 1;
