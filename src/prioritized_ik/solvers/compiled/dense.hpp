@@ -278,9 +278,9 @@ inline int row_pivoted_lq(double** rows, int* ids, int n, int all, int c, int m,
 }
 
 // QR of the first r of k columns of length n, stored as rows of `stride`; all k are transformed. With `kept`, reflector j is
-// stored in its row j, and its factor in `taus`.
+// stored in its row j, and its factor in `taus`. The first `top` entries of all columns stay what they are.
 inline void column_qr(double* columns, int stride, int k, int r, int n, int* order, bool pivot, Arena& arena,
-                      double* kept = nullptr, double* taus = nullptr) {
+                      double* kept = nullptr, double* taus = nullptr, int top = 0) {
     Scope scope(arena);
     ShrinkingNorms norms(r, arena);
     double** column = arena.array<double*>(k);
@@ -288,9 +288,9 @@ inline void column_qr(double* columns, int stride, int k, int r, int n, int* ord
     for (int j = 0; j < k; j++) column[j] = columns + size_t(j) * stride;
     for (int j = 0; j < r; j++) {
         order[j] = j;
-        if (pivot) norms.set(j, dot(column[j], column[j], n));
+        if (pivot) norms.set(j, dot(column[j] + top, column[j] + top, n - top));
     }
-    for (int j = 0; j < min(r, n); j++) {
+    for (int j = 0; j < min(r, n - top); j++) {
         if (pivot) {
             const int best = norms.longest(j, r);
             if (best != j) {
@@ -299,17 +299,18 @@ inline void column_qr(double* columns, int stride, int k, int r, int n, int* ord
                 norms.swap(j, best);
             }
         }
+        const int at = top + j;
         double* v = kept ? kept + size_t(j) * stride : own;
         if (kept) clear(v, stride);
-        else if (j) v[j - 1] = 0.0;
+        else if (j) v[at - 1] = 0.0;
         double *x = column[j], tau;
-        x[j] = reflector(x + j, v + j, n - j, tau);
-        clear(x + j + 1, n - j - 1);
+        x[at] = reflector(x + at, v + at, n - at, tau);
+        clear(x + at + 1, n - at - 1);
         if (taus) taus[j] = tau;
-        const int from = aligned_start(j);
+        const int from = aligned_start(at);
         reflect_all(column + j + 1, k - j - 1, from, v + from, tau, stride - from);
         if (pivot)
-            for (int i = j + 1; i < r; i++) norms.shrink(i, column[i][j], column[i] + j + 1, n - j - 1);
+            for (int i = j + 1; i < r; i++) norms.shrink(i, column[i][at], column[i] + at + 1, n - at - 1);
     }
 }
 

@@ -1,6 +1,8 @@
 // The third layer: the step where some rows hold as equalities, and how far that is from the others; see active_set.py.
 #pragma once
 
+#include <numeric>
+
 #include "factored.hpp"
 
 namespace prioritized_ik {
@@ -19,6 +21,7 @@ class Face : public Factored {
         is_carried_ = arena_.array<uint8_t>(all_);
         has_drift_ = arena_.array<uint8_t>(all_);
         in_doubt_ = arena_.array<uint8_t>(all_);
+        shares_ = arena_.array<int>(now_.levels + 2);
         std::memset(is_carried_, 0, all_);
         std::memset(has_drift_, 0, all_);
         std::memset(in_doubt_, 0, all_);
@@ -113,23 +116,23 @@ class Face : public Factored {
         int next = t;
         double* y = arena_.doubles(stride);
         copy(begin_, x_, stride);
+        share(rows, sides, t, 0);
         for (int l = 0; l < now_.levels; l++) {
             const Block& block = levels_[l];
-            const int c = block.start, r = block.rank;
+            const int c = block.start, r = block.rank, own = shares_[l + 1];
             copy(block.target(), y, r);
             for (int j = 0; j < c; j++)
                 if (x_[j] != 0.0) add(-x_[j], block.above + size_t(j) * block.R.stride, y, r);
-            if (t) {
-                const int left = left_to_levels_below(rows, sides, t, block.end());
-                meet(rows + size_t(left) * stride, sides + left, t - left, c, r, &block, y);
-                t = left;
-            }
+            meet(rows + size_t(own) * stride, sides + own, t - own, c, r, &block, y);
+            t = own;
             block.R.solve(y);
             copy(y, x_ + c, r);
+            const int left = next;
             for (; next < all && level_of_[ids[next]] == l; next++, t++) {
                 copy(rows + size_t(next) * stride, rows + size_t(t) * stride, t < next ? stride : 0);
                 sides[t] = sides[next];
             }
+            if (next > left) share(rows, sides, t, l + 1);
         }
         const int c = rest_;
         if (has_reference_) {
@@ -139,62 +142,58 @@ class Face : public Factored {
         } else {
             clear(y, m_ - c);
         }
-        if (t) meet(rows, sides, t, c, m_ - c, nullptr, y);
+        meet(rows, sides, t, c, m_ - c, nullptr, y);
         copy(y, x_ + c, m_ - c);
     }
 
-    // Turns rows (t) so that the first ones are independent in the coordinates from c on, and the others zero there.
-    int left_to_levels_below(double* rows, double* sides, int t, int c) {
-        const int below = m_ - c;
-        if (!below) return 0;
-        if (clearly_independent(rows, t, c)) return t;
+    // Shares rows (t) out: each level from `first` on meets those combinations that the levels below it cannot move. Turns the
+    // rows so that those of the lowest come first and are independent there, and the ones after them are zero there, and so on
+    // upwards: level l meets the rows from shares_[l + 1] to shares_[l]. What x_ says already goes to the sides.
+    void share(double* rows, double* sides, int t, int first) {
+        const int levels = now_.levels, start = first < levels ? levels_[first].start : rest_;
+        for (int l = first; l <= levels + 1; l++) shares_[l] = l > first ? 0 : t;
+        if (!t) return;
         Scope scope(arena_);
-        const int s = padded(t), k = m_ + 1;
+        const int s = padded(t), k = m_ - start + 1;  // columns: coordinates from the last level's to the first's, and the sides
         double* columns = arena_.zeros(size_t(k) * s);
-        int* order = arena_.array<int>(below);
+        int *order = arena_.array<int>(m_), top = 0;
+        for (int l = levels, end = m_; l >= first; end = start_of(l--)) std::iota(order + m_ - end, order + m_ - start_of(l), 0);
         for (int i = 0; i < t; i++) {
             const double* row = rows + size_t(i) * stride;
-            for (int j = 0; j < below; j++) columns[size_t(j) * s + i] = row[c + j];
-            for (int j = 0; j < c; j++) columns[size_t(below + j) * s + i] = row[j];
-            columns[size_t(m_) * s + i] = sides[i];
+            for (int l = levels, end = m_; l >= first; end = start_of(l--)) {
+                double* to = columns + size_t(m_ - end) * s + i;
+                for (int j = start_of(l); j < end; j++, to += s) *to = row[j];
+            }
+            columns[size_t(k - 1) * s + i] = sides[i] - dot(row, x_, start);
         }
-        column_qr(columns, s, k, below, t, order, true, arena_);
-        int left = 0;
-        for (; left < min(below, t); left++) {
-            const double size = abs(columns[size_t(left) * s + left]);
-            if (may_be_settled(size, settled_)) doubt_ = true;
-            if (!(size > settled_)) break;
+        for (int l = levels, end = m_; l > first && top < t; end = start_of(l--)) {
+            const int from = m_ - end, below = end - start_of(l);
+            double* own = columns + size_t(from) * s;
+            column_qr(own, s, k - from, below, t, order + from, true, arena_, nullptr, nullptr, top);
+            int rank = 0;
+            for (; rank < min(below, t - top); rank++) {
+                const double size = abs(own[size_t(rank) * s + top + rank]);
+                if (may_be_settled(size, settled_)) doubt_ = true;
+                if (!(size > settled_)) break;
+            }
+            shares_[l] = top += rank;
+            for (int higher = first + 1; higher < l; higher++) shares_[higher] = top;
         }
         for (int i = 0; i < t; i++) {
             double* row = rows + size_t(i) * stride;
-            for (int j = 0; j < below; j++) row[c + order[j]] = i < left ? columns[size_t(j) * s + i] : 0.0;
-            for (int j = 0; j < c; j++) row[j] = columns[size_t(below + j) * s + i];
-            sides[i] = columns[size_t(m_) * s + i];
+            clear(row, start);
+            for (int l = levels, end = m_; l >= first; end = start_of(l--)) {
+                const int from = m_ - end, begin = start_of(l);
+                const bool moves = i < shares_[l];
+                for (int j = 0; j < end - begin; j++)
+                    row[begin + order[from + j]] = moves ? columns[size_t(from + j) * s + i] : 0.0;
+            }
+            sides[i] = columns[size_t(k - 1) * s + i];
         }
-        return left;
     }
 
-    // Whether rows are independent from column c on, by far, seen from their products.
-    bool clearly_independent(const double* rows, int t, int c) {
-        constexpr double LEAST = 1e-3, SHARE = 1e-8;
-        if (t > m_ - c) return false;
-        Scope scope(arena_);
-        const int s = padded(t);
-        double* gram = arena_.doubles(size_t(t) * s);
-        for (int i = 0; i < t; i++) {
-            double* own = gram + size_t(i) * s;
-            for (int j = 0; j <= i; j++)
-                own[j] = dot(rows + size_t(i) * stride + c, rows + size_t(j) * stride + c, m_ - c);
-            for (int j = 0; j < i; j++) {
-                const double* other = gram + size_t(j) * s;
-                own[j] = (own[j] - dot(own, other, j)) / other[j];
-            }
-            const double size = own[i], rest = size - dot(own, own, i);
-            if (!(rest > SHARE * max(LEAST, size))) return false;
-            own[i] = sqrt(rest);
-        }
-        return true;
-    }
+    // Where a level's coordinates start, or those that no level decides.
+    int start_of(int l) const { return l < now_.levels ? levels_[l].start : rest_; }
 
     // y (r), a level's wish in its own coordinates, moves to the nearest that lets rows (t) hold. `block` is null at the rest.
     void meet(const double* rows, const double* sides, int t, int c, int r, const Block* block, double* y) {
@@ -331,6 +330,7 @@ class Face : public Factored {
   private:
     Reflectors small_chain_;
     double *carried_ = nullptr, *drift_ = nullptr;
+    int* shares_ = nullptr;  // by level, and one more: how many rows it and the levels below meet
     uint8_t *is_carried_ = nullptr, *has_drift_ = nullptr, *in_doubt_ = nullptr;
 };
 
