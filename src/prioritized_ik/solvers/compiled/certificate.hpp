@@ -142,18 +142,17 @@ class Certified : public Face {
                     if ((own.leak[i] < INFINITE) != (pass == 0)) continue;
                     if (may_be_settled(moves, settled_)) doubt_ = true;
                     if (!(moves > settled_)) continue;
-                    double* normal = normals + size_t(n) * stride;
-                    copy(row + c, normal, v);
-                    if (block) {
-                        Scope inner(arena_);
-                        block->R.solve_transposed(normal);
-                        for (int j = r; j < v; j++) normal[j] *= far;
-                    }
-                    sizes[n] = norm(normal, v);
-                    for (int j = 0; j < v; j++) normal[j] /= sizes[n];
+                    copy(row + c, normals + size_t(n) * stride, v);
                     place[n++] = i;
                     held += pass == 0;
                 }
+            if (block) block->R.solve_transposed(normals, stride, n);
+            for (int i = 0; i < n; i++) {
+                double* normal = normals + size_t(i) * stride;
+                for (int j = r; block && j < v; j++) normal[j] *= far;
+                sizes[i] = norm(normal, v);
+                for (int j = 0; j < v; j++) normal[j] /= sizes[i];
+            }
             // What is left this long is longer than the step that is allowed, see as_step.
             const double most = tol_.CERTIFIED * scale_ / (tol_.MARGIN * min(block ? 1.0 / block->strength : 1.0, far));
             if (!balance(normals, n, held, v, g.values, most, combination)) return pulls(own, normals, place, n, held, v, g);

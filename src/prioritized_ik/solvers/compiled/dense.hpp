@@ -331,8 +331,14 @@ struct Triangle {
         }
     }
     // b := R^-T b
-    void solve_transposed(double* b) const {
-        for (int j = 0; j < size; j++) b[j] = (b[j] - dot(column(j), b, j)) / diagonal(j);
+    void solve_transposed(double* b) const { solve_transposed(b, 0, 1); }
+    // The same for `count` rows, each `apart` after the other: side by side, as each entry waits for those before it.
+    void solve_transposed(double* rows, int apart, int count) const {
+        for (int j = 0; j < size; j++)
+            for (int i = 0; i < count; i++) {
+                double* b = rows + size_t(i) * apart;
+                b[j] = (b[j] - dot(column(j), b, j)) / diagonal(j);
+            }
     }
     // out (zeros before) := R b
     void times(const double* b, double* out) const {

@@ -200,18 +200,20 @@ class Face : public Factored {
         if (!t || !r) return;
         Scope scope(arena_);
         double *normals = arena_.zeros(size_t(t) * stride), *gaps = arena_.doubles(t);
-        int n = 0;
+        int *from = arena_.array<int>(t), moving = 0, n = 0;
         for (int i = 0; i < t; i++) {
             const double* row = rows + size_t(i) * stride;
             if (norm(row + c, m_ - c) <= tol_.DEPENDENT) continue;  // it copies other rows
-            double* normal = normals + size_t(n) * stride;
-            clear(normal, stride);
-            copy(row + c, normal, r);
-            if (block) block->R.solve_transposed(normal);
-            const double size = norm(normal, r);
+            copy(row + c, normals + size_t(moving) * stride, r);
+            from[moving++] = i;
+        }
+        if (block) block->R.solve_transposed(normals, stride, moving);
+        for (int i = 0; i < moving; i++) {
+            const double *row = rows + size_t(from[i]) * stride, *turned = normals + size_t(i) * stride, size = norm(turned, r);
             if (size == 0.0) continue;
-            for (int j = 0; j < r; j++) normal[j] /= size;
-            gaps[n++] = (sides[i] - dot(row, x_, c)) / size;
+            double* normal = normals + size_t(n) * stride;
+            for (int j = 0; j < r; j++) normal[j] = turned[j] / size;
+            gaps[n++] = (sides[from[i]] - dot(row, x_, c)) / size;
         }
         if (n) shift(normals, gaps, n, r, y);
     }
