@@ -27,7 +27,7 @@ FLAGS = ("-O3", "-std=c++17", "-shared", "-fPIC", "-fvisibility=hidden", "-Wno-p
 BASELINE = "baseline"
 VARIANTS: dict[str, tuple[str, ...]] = {BASELINE: ()}
 if platform.machine() in ("x86_64", "AMD64"):
-    VARIANTS["x86-64-v3"] = ("-march=x86-64-v3",)
+    VARIANTS |= {f"x86-64-v{level}": (f"-march=x86-64-v{level}",) for level in (3, 4)}
 
 
 def digest(folder: Path) -> str:
@@ -78,7 +78,7 @@ def _translated(flags: tuple[str, ...], command: list[str]) -> list[str]:
     """Return flags in Zig's spelling, which has underscores in the names of processors, and no plain default."""
     if "ziglang" not in command:
         return list(flags)
-    return [flag.replace("x86-64-v3", "x86_64_v3") for flag in flags] or ["-mcpu=baseline"]
+    return [flag.replace("x86-64-v", "x86_64_v") for flag in flags] or ["-mcpu=baseline"]
 
 
 class CustomBuildHook(BuildHookInterface):

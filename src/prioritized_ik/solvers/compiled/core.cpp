@@ -28,17 +28,20 @@ EXPORTED const char* core_tolerances() {
 #undef FIELD
 }
 
-// Whether this processor, and its system, run what is compiled for x86-64-v3. Asked of the processor itself: not every
-// compiler's runtime answers __builtin_cpu_supports from a shared library.
-EXPORTED int core_has_v3() {
+// The highest of x86-64's levels, 1, 3 or 4, that this processor and its system run; 0 for another processor. Asked of the
+// processor itself: not every compiler's runtime answers __builtin_cpu_supports from a shared library.
+EXPORTED int core_x86_level() {
 #if defined(__x86_64__)
     unsigned a, b, c, d, low, high;
-    if (!__get_cpuid(1, &a, &b, &c, &d)) return 0;
+    if (!__get_cpuid(1, &a, &b, &c, &d)) return 1;
     const bool fma = c >> 12 & 1, saves = c >> 27 & 1, avx = c >> 28 & 1;
-    if (!fma || !saves || !avx || !__get_cpuid_count(7, 0, &a, &b, &c, &d)) return 0;
+    if (!fma || !saves || !avx || !__get_cpuid_count(7, 0, &a, &b, &c, &d)) return 1;
     const bool bmi = b >> 3 & 1, avx2 = b >> 5 & 1, bmi2 = b >> 8 & 1;
+    constexpr unsigned REGISTERS = 0x6, WIDE_REGISTERS = 0xe6;  // that the system saves
     __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
-    return bmi && avx2 && bmi2 && (low & 6) == 6;
+    if (!bmi || !avx2 || !bmi2 || (low & REGISTERS) != REGISTERS) return 1;
+    constexpr unsigned AVX512 = 1u << 16 | 1u << 17 | 1u << 28 | 1u << 30 | 1u << 31;  // F, DQ, CD, BW, VL
+    return (b & AVX512) == AVX512 && (low & WIDE_REGISTERS) == WIDE_REGISTERS ? 4 : 3;
 #else
     return 0;
 #endif

@@ -19,36 +19,54 @@ using std::sqrt;
 
 constexpr double INFINITE = std::numeric_limits<double>::infinity();
 
-// Four doubles at any address.
+// Four doubles at any address, and as many as one register of the processor holds.
 typedef double Four __attribute__((vector_size(32), aligned(8)));
+#if defined(__AVX512F__)
+constexpr int LANES = 4, WIDE = 8;
+typedef double Wide __attribute__((vector_size(64), aligned(8)));
+inline Wide wide_of(double x) { return Wide{x, x, x, x, x, x, x, x}; }
+inline Four folded(Wide x) { return __builtin_shufflevector(x, x, 0, 1, 2, 3) + __builtin_shufflevector(x, x, 4, 5, 6, 7); }
+#else
+constexpr int LANES = 4, WIDE = 4;
+typedef Four Wide;
+inline Wide wide_of(double x) { return Wide{x, x, x, x}; }
+inline Four folded(Wide x) { return x; }
+#endif
 
 inline Four& four(double* at) { return *reinterpret_cast<Four*>(at); }
 inline const Four& four(const double* at) { return *reinterpret_cast<const Four*>(at); }
+inline Wide& wide(double* at) { return *reinterpret_cast<Wide*>(at); }
+inline const Wide& wide(const double* at) { return *reinterpret_cast<const Wide*>(at); }
 inline double total(Four x) { return (x[0] + x[2]) + (x[1] + x[3]); }
 
 // The totals of four at once, in the same order of sums.
-inline Four totals(Four p, Four q, Four r, Four s) {
+inline Four totals(Wide w, Wide x, Wide y, Wide z) {
+    const Four p = folded(w), q = folded(x), r = folded(y), s = folded(z);
     const Four a = __builtin_shufflevector(p, q, 0, 1, 4, 5) + __builtin_shufflevector(p, q, 2, 3, 6, 7);
     const Four b = __builtin_shufflevector(r, s, 0, 1, 4, 5) + __builtin_shufflevector(r, s, 2, 3, 6, 7);
     return __builtin_shufflevector(a, b, 0, 2, 4, 6) + __builtin_shufflevector(a, b, 1, 3, 5, 7);
 }
 
-constexpr int LANES = 4;
-inline int padded(int n) { return (n + LANES - 1) & ~(LANES - 1); }
-inline int aligned_start(int n) { return n & ~(LANES - 1); }
+inline int padded(int n) { return (n + WIDE - 1) & ~(WIDE - 1); }
+inline int aligned_start(int n) { return n & ~(WIDE - 1); }
 
 inline double dot(const double* a, const double* b, int n) {
-    Four one = {}, two = {};
+    Wide one = {}, two = {};
     int i = 0;
-    for (; i + 8 <= n; i += 8) {
-        one += four(a + i) * four(b + i);
-        two += four(a + i + 4) * four(b + i + 4);
+    for (; i + 2 * WIDE <= n; i += 2 * WIDE) {
+        one += wide(a + i) * wide(b + i);
+        two += wide(a + i + WIDE) * wide(b + i + WIDE);
     }
-    if (i + 4 <= n) {
-        one += four(a + i) * four(b + i);
-        i += 4;
+    if (i + WIDE <= n) {
+        one += wide(a + i) * wide(b + i);
+        i += WIDE;
     }
-    double sum = total(one + two);
+    Four rest = folded(one + two);
+    if (WIDE > LANES && i + LANES <= n) {
+        rest += four(a + i) * four(b + i);
+        i += LANES;
+    }
+    double sum = total(rest);
     for (; i < n; i++) sum += a[i] * b[i];
     return sum;
 }
@@ -57,22 +75,24 @@ inline double norm(const double* a, int n) { return sqrt(dot(a, a, n)); }
 
 // to += factor * from
 inline void add(double factor, const double* from, double* to, int n) {
-    const Four f = {factor, factor, factor, factor};
+    const Wide f = wide_of(factor);
+    const Four g = {factor, factor, factor, factor};
     int i = 0;
-    for (; i + 4 <= n; i += 4) four(to + i) += f * four(from + i);
+    for (; i + WIDE <= n; i += WIDE) wide(to + i) += f * wide(from + i);
+    if (WIDE > LANES && i + LANES <= n) {
+        four(to + i) += g * four(from + i);
+        i += LANES;
+    }
     for (; i < n; i++) to[i] += factor * from[i];
 }
 
-// to += factors[0] * rows[0] + … of k rows, each `stride` after the other and zero where it is not to count; n a multiple of four
+// to += factors[0] * rows[0] + … of k rows, each `stride` after the other and zero where it is not to count; n is padded
 inline void add_rows(const double* factors, const double* rows, int stride, int k, double* to, int n) {
     int j = 0;
     for (; j + 4 <= k; j += 4) {
         const double *a = rows + size_t(j) * stride, *b = a + stride, *c = b + stride, *d = c + stride;
-        const Four e = {factors[j], factors[j], factors[j], factors[j]};
-        const Four f = {factors[j + 1], factors[j + 1], factors[j + 1], factors[j + 1]};
-        const Four g = {factors[j + 2], factors[j + 2], factors[j + 2], factors[j + 2]};
-        const Four h = {factors[j + 3], factors[j + 3], factors[j + 3], factors[j + 3]};
-        for (int i = 0; i < n; i += 4) four(to + i) += (e * four(a + i) + f * four(b + i)) + (g * four(c + i) + h * four(d + i));
+        const Wide e = wide_of(factors[j]), f = wide_of(factors[j + 1]), g = wide_of(factors[j + 2]), h = wide_of(factors[j + 3]);
+        for (int i = 0; i < n; i += WIDE) wide(to + i) += (e * wide(a + i) + f * wide(b + i)) + (g * wide(c + i) + h * wide(d + i));
     }
     for (; j < k; j++) add(factors[j], rows + size_t(j) * stride, to, n);
 }
@@ -85,12 +105,12 @@ class Arena {
   public:
     struct Exhausted {};
 
-    explicit Arena(size_t size) : memory_(size) {}
+    explicit Arena(size_t size) : memory_(size + LINE) {}
 
     double* doubles(size_t n) {
         n = (n + 7) & ~size_t(7);
-        if (used_ + n > memory_.size()) throw Exhausted{};
-        double* at = memory_.data() + used_;
+        if (used_ + n + LINE > memory_.size()) throw Exhausted{};
+        double* at = memory_.data() + offset() + used_;
         used_ += n;
         return at;
     }
@@ -111,6 +131,9 @@ class Arena {
     void back_to(size_t used) { used_ = used; }
 
   private:
+    static constexpr size_t LINE = 8;  // doubles of one line of the cache, at whose start all pieces begin
+    size_t offset() const { return (LINE - reinterpret_cast<size_t>(memory_.data()) / sizeof(double) % LINE) % LINE; }
+
     std::vector<double> memory_;
     size_t used_ = 0;
 };
@@ -141,13 +164,12 @@ inline double reflector(const double* x, double* v, int n, double& tau) {
     return beta;
 }
 
-// row := row (I - tau v v^T), n a multiple of four
+// row := row (I - tau v v^T), n padded
 inline void reflect(double* row, const double* v, double tau, int n) {
-    Four sum = {};
-    for (int i = 0; i < n; i += 4) sum += four(row + i) * four(v + i);
-    const double f = -tau * total(sum);
-    const Four factor = {f, f, f, f};
-    for (int i = 0; i < n; i += 4) four(row + i) += factor * four(v + i);
+    Wide sum = {};
+    for (int i = 0; i < n; i += WIDE) sum += wide(row + i) * wide(v + i);
+    const Wide factor = wide_of(-tau * total(folded(sum)));
+    for (int i = 0; i < n; i += WIDE) wide(row + i) += factor * wide(v + i);
 }
 
 // The same for all of `count` rows, four at a time.
@@ -155,23 +177,22 @@ inline void reflect_all(double* const* rows, int count, int from, const double* 
     int i = 0;
     for (; i + 4 <= count; i += 4) {
         double *a = rows[i] + from, *b = rows[i + 1] + from, *c = rows[i + 2] + from, *d = rows[i + 3] + from;
-        Four p = {}, q = {}, r = {}, s = {};
-        for (int j = 0; j < n; j += 4) {
-            const Four x = four(v + j);
-            p += four(a + j) * x;
-            q += four(b + j) * x;
-            r += four(c + j) * x;
-            s += four(d + j) * x;
+        Wide p = {}, q = {}, r = {}, s = {};
+        for (int j = 0; j < n; j += WIDE) {
+            const Wide x = wide(v + j);
+            p += wide(a + j) * x;
+            q += wide(b + j) * x;
+            r += wide(c + j) * x;
+            s += wide(d + j) * x;
         }
         const Four factors = totals(p, q, r, s) * -tau;
-        p = __builtin_shufflevector(factors, factors, 0, 0, 0, 0), q = __builtin_shufflevector(factors, factors, 1, 1, 1, 1);
-        r = __builtin_shufflevector(factors, factors, 2, 2, 2, 2), s = __builtin_shufflevector(factors, factors, 3, 3, 3, 3);
-        for (int j = 0; j < n; j += 4) {
-            const Four x = four(v + j);
-            four(a + j) += p * x;
-            four(b + j) += q * x;
-            four(c + j) += r * x;
-            four(d + j) += s * x;
+        p = wide_of(factors[0]), q = wide_of(factors[1]), r = wide_of(factors[2]), s = wide_of(factors[3]);
+        for (int j = 0; j < n; j += WIDE) {
+            const Wide x = wide(v + j);
+            wide(a + j) += p * x;
+            wide(b + j) += q * x;
+            wide(c + j) += r * x;
+            wide(d + j) += s * x;
         }
     }
     for (; i < count; i++) reflect(rows[i] + from, v, tau, n);

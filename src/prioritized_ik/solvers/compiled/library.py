@@ -18,7 +18,10 @@ FOLDER = Path(__file__).parent
 #: Set to 1, only the Python form runs.
 SWITCH = "PRIORITIZED_IK_PURE_PYTHON"
 
-BASELINE, FASTER = "core-baseline.so", "core-x86-64-v3.so"
+BASELINE = "core-baseline.so"
+
+#: The others, the fastest first, by the level of x86-64 that they need.
+FASTER = {4: "core-x86-64-v4.so", 3: "core-x86-64-v3.so"}
 
 
 class Ending(IntEnum):
@@ -87,9 +90,13 @@ def load(folder: Path) -> Library:
         return Library(None, "not compiled: there was no C++ compiler when the package was installed")
     expected = digest(folder)
     core, note = _loaded(folder / BASELINE, expected)
-    if core is not None and core.core_has_v3() and (folder / FASTER).exists():
-        faster, faster_note = _loaded(folder / FASTER, expected)
-        core, note = (core, note) if faster is None else (faster, faster_note)
+    if core is not None:
+        level = core.core_x86_level()
+        for needed, name in FASTER.items():
+            if level >= needed and (folder / name).exists():
+                faster, faster_note = _loaded(folder / name, expected)
+                if faster is not None:
+                    return Library(faster, faster_note)
     return Library(core, note)
 
 
