@@ -104,31 +104,41 @@ EXPORTED void* core_tree_new() { return new (std::nothrow) prioritized_ik::TreeE
 EXPORTED void core_tree_delete(prioritized_ik::TreeElimination* tree) { delete tree; }
 EXPORTED int core_tree_input_size() { return int(sizeof(prioritized_ik::TreeInput)); }
 
-// A `TreeElimination::Ending`.
-EXPORTED int core_tree_factor(prioritized_ik::TreeElimination* tree, const prioritized_ik::TreeInput* input) {
+EXPORTED int core_tree_pose(prioritized_ik::TreeElimination* tree, const prioritized_ik::TreeInput* input) {
     try {
-        return tree->factor(*input);
+        tree->pose(*input);
+        return 0;
     } catch (const std::bad_alloc&) {
         return -1;
     }
 }
 
-// What the held rows leave.
-EXPORTED double core_tree_solve(prioritized_ik::TreeElimination* tree, const double* values, const double* sides,
-                                const double* reference, double* u) {
+// A `TreeElimination::Ending`.
+EXPORTED int core_tree_factor(prioritized_ik::TreeElimination* tree) {
     try {
-        return tree->solve(values, sides, reference, u);
+        return tree->factor();
     } catch (const std::bad_alloc&) {
-        return -1.0;
+        return -1;
     }
 }
 
-enum TreeQuestion { REDUCED, MULTIPLIERS, DISPLACEMENT };  // of compiled/tree.py
+EXPORTED int core_tree_solve(prioritized_ik::TreeElimination* tree, const double* values, const double* sides,
+                             const double* reference, double* u) {
+    try {
+        tree->solve(values, sides, reference, u);
+        return 0;
+    } catch (const std::bad_alloc&) {
+        return -1;
+    }
+}
+
+enum TreeQuestion { PARTS, WHITENED, PULLS, DISPLACEMENT };  // of compiled/tree.py
 
 EXPORTED int core_tree_ask(prioritized_ik::TreeElimination* tree, int question, int level, const double* given, double* out) {
     try {
-        if (question == REDUCED) tree->reduced(level, given, out);
-        else if (question == MULTIPLIERS) tree->multipliers(level, given, out);
+        if (question == PARTS) tree->parts(given, out);
+        else if (question == WHITENED) tree->whitened(level, given, out);
+        else if (question == PULLS) tree->pulls(level, given, out);
         else tree->displacement(level, given, out);
         return 0;
     } catch (const std::bad_alloc&) {
@@ -136,19 +146,10 @@ EXPORTED int core_tree_ask(prioritized_ik::TreeElimination* tree, int question, 
     }
 }
 
-EXPORTED int core_tree_row_lengths(const prioritized_ik::TreeInput* input, const double* given, double* out) {
-    try {
-        prioritized_ik::row_lengths(*input, given, out);
-        return 0;
-    } catch (const std::bad_alloc&) {
-        return -1;
-    }
-}
-
 // -2 if memory runs out, as -1 is an answer.
-EXPORTED int core_tree_count_below(prioritized_ik::TreeElimination* tree, int level, const double* given, double tau) {
+EXPORTED int core_tree_count_below(prioritized_ik::TreeElimination* tree, int level, double tau) {
     try {
-        return tree->count_below(level, given, tau);
+        return tree->count_below(level, tau);
     } catch (const std::bad_alloc&) {
         return -2;
     }

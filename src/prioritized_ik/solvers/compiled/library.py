@@ -124,13 +124,13 @@ def _loaded(path: Path, expected: str) -> tuple[ctypes.CDLL | None, str]:
     core.core_tree_new.restype = ctypes.c_void_p
     core.core_tree_delete.argtypes = [ctypes.c_void_p]
     core.core_tree_delete.restype = None
-    core.core_tree_factor.argtypes = [ctypes.c_void_p] * 2
+    core.core_tree_pose.argtypes = [ctypes.c_void_p] * 2
+    core.core_tree_factor.argtypes = [ctypes.c_void_p]
     core.core_tree_solve.argtypes = [ctypes.c_void_p] * 5
     core.core_tree_ask.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
-    core.core_tree_row_lengths.argtypes = [ctypes.c_void_p] * 3
-    core.core_tree_count_below.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p, ctypes.c_double]
+    core.core_tree_count_below.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_double]
     core.core_tree_memory.argtypes = [ctypes.c_void_p]
-    core.core_tree_solve.restype = core.core_tree_memory.restype = ctypes.c_double
+    core.core_tree_memory.restype = ctypes.c_double
     return core, path.name
 
 

@@ -9,23 +9,23 @@ from numpy.typing import NDArray
 
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.solvers.tree.elimination import Ending, Factors, TreeRowsOnJoints
-from prioritized_ik.tolerances import TREE_CLEAR, TREE_ZERO
+from prioritized_ik.tolerances import NOISE, ROUNDING, TREE_ZERO
 from prioritized_ik.validation import Array
 
-REDUCED, MULTIPLIERS, DISPLACEMENT = range(3)  # `TreeQuestion` in core.cpp
+PARTS, WHITENED, PULLS, DISPLACEMENT = range(4)  # `TreeQuestion` in core.cpp
 
 
 class TreeInput(ctypes.Structure):
-    """What the core reads and writes: `TreeInput` in tree.hpp, field by field."""
+    """What the core reads and writes: `TreeInput` in tree_stages.hpp, field by field."""
 
     _fields_ = (
         [(name, ctypes.c_int32) for name in ("joints", "rows", "levels")]
-        + [(name, ctypes.c_double) for name in ("zero", "clear")]
+        + [(name, ctypes.c_double) for name in ("zero", "rounding", "noise")]
         + [
             (name, ctypes.c_void_p)
             for name in (
-                *("parents", "row_joints", "row_levels", "axes", "arms", "covectors"),
-                *("fixed", "counts", "owner", "pivot"),
+                *("parents", "row_joints", "row_levels", "axes", "arms", "given", "roots"),
+                *("fixed", "counts", "lengths", "strongest", "ranks"),
             )
         ]
     )
@@ -45,60 +45,70 @@ class CompiledElimination(Factors):
         self._address = ctypes.c_void_p(address)
         weakref.finalize(self, core.core_tree_delete, self._address)
         m, k = rows.tree.joint_count, len(rows.joints)
-        self.owner, self.pivot = np.zeros(m, dtype=np.int32), np.ones(m)
         self.fixed, self._counts = np.zeros(m, dtype=bool), np.zeros(k, dtype=bool)
-        kept: dict[str, NDArray[Any]] = {
+        self._lengths, self._strongest = np.zeros(k), np.zeros(rows.levels + 1)
+        self._ranks = np.zeros(rows.levels + 1, dtype=np.int32)
+        self._kept: dict[str, NDArray[Any]] = {  # whose memory the input points to
             "parents": np.asarray(rows.tree.parents, dtype=np.int32),
             "row_joints": np.asarray(rows.joints, dtype=np.int32),
             "row_levels": np.asarray(rows.level, dtype=np.int32),
             "axes": rows.axes,
             "arms": rows.arms,
-            "covectors": np.ascontiguousarray(rows.covectors),
+            "given": np.ascontiguousarray(rows.given),
+            "roots": np.ascontiguousarray(rows.roots),
             "fixed": self.fixed,
             "counts": self._counts,
-            "owner": self.owner,
-            "pivot": self.pivot,
+            "lengths": self._lengths,
+            "strongest": self._strongest,
+            "ranks": self._ranks,
         }
-        self._kept = kept  # whose memory the input points to
-        addresses = {name: array.ctypes.data for name, array in kept.items()}
-        self._input = TreeInput(joints=m, rows=k, levels=rows.levels, zero=TREE_ZERO, clear=TREE_CLEAR, **addresses)
+        addresses = {name: array.ctypes.data for name, array in self._kept.items()}
+        sizes = {"joints": m, "rows": k, "levels": rows.levels}
+        self._input = TreeInput(**sizes, zero=TREE_ZERO, rounding=ROUNDING, noise=NOISE, **addresses)
+        self._checked(core.core_tree_pose(self._address, ctypes.byref(self._input)))
 
     def factor(self, fixed: NDArray[np.bool_], held: NDArray[np.bool_]) -> Ending:
         """See `Elimination.factor`."""
         self.fixed[:] = fixed
         np.logical_or(self.rows.level != 0, held, out=self._counts)
-        return Ending(self._checked(self._core.core_tree_factor(self._address, ctypes.byref(self._input))))
+        ending = Ending(self._checked(self._core.core_tree_factor(self._address)))
+        self.ranks, self.strongest = self._ranks.tolist(), self._strongest.tolist()
+        sizes = [*self.ranks, len(fixed) - int(np.count_nonzero(fixed)) - sum(self.ranks)]
+        ends = np.cumsum(sizes).tolist()
+        self._parts = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
+        return ending
 
-    def solve(self, values: Array, sides: Array, reference: Array) -> tuple[Array, float]:
+    def solve(self, values: Array, sides: Array, reference: Array) -> Array:
         """See `Elimination.solve`."""
         given = [np.ascontiguousarray(array, dtype=float) for array in (values, sides, reference)]
         u = np.empty(len(values))
-        missed = self._core.core_tree_solve(self._address, *(array.ctypes.data for array in given), u.ctypes.data)
-        self._checked(missed)
-        return u, float(missed)
+        self._checked(self._core.core_tree_solve(self._address, *(array.ctypes.data for array in given), u.ctypes.data))
+        return u
 
-    def reduced(self, level: int, gradient: Array) -> Array:
-        """See `Elimination.reduced`."""
-        return self._asked(REDUCED, level, gradient, len(gradient))
+    def parts(self, gradient: Array) -> list[Array]:
+        """See `Elimination.parts`."""
+        whole = self._asked(PARTS, 0, gradient, self._parts[-1].stop)
+        return [whole[part] for part in self._parts]
 
-    def multipliers(self, level: int, reduced: Array) -> Array:
-        """See `Elimination.multipliers`."""
-        return self._asked(MULTIPLIERS, level, reduced, len(self.rows.joints))
+    def whitened(self, level: int, part: Array) -> Array:
+        """See `Elimination.whitened`."""
+        return self._asked(WHITENED, level, part, len(part))
+
+    def pulls(self, level: int, whitened: Array) -> Array:
+        """See `Elimination.pulls`."""
+        return self._asked(PULLS, level, whitened, len(self.rows.joints))
 
     def displacement(self, level: int, whitened: Array) -> Array:
         """See `Elimination.displacement`."""
-        return self._asked(DISPLACEMENT, level, whitened, len(whitened))
+        return self._asked(DISPLACEMENT, level, whitened, len(self.fixed))
 
     def row_lengths(self) -> Array:
-        """Return the length of each row of the matrix without weights `(k,)`."""
-        given, out = np.ascontiguousarray(self.rows.given), np.empty(len(self.rows.joints))
-        self._checked(self._core.core_tree_row_lengths(ctypes.byref(self._input), given.ctypes.data, out.ctypes.data))
-        return out
+        """See `Elimination.row_lengths`."""
+        return self._lengths
 
     def count_below(self, level: int, tau: float) -> int | None:
         """See `Elimination.count_below`."""
-        given = np.ascontiguousarray(self.rows.given)
-        count: int = self._core.core_tree_count_below(self._address, level, given.ctypes.data, tau)
+        count: int = self._core.core_tree_count_below(self._address, level, tau)
         return None if count == -1 else self._checked(count)
 
     @property
@@ -113,7 +123,7 @@ class CompiledElimination(Factors):
         return out
 
     @staticmethod
-    def _checked(answer: float) -> int:
+    def _checked(answer: int) -> int:
         if answer < 0:
             raise MemoryError("no memory for the compiled core")
-        return int(answer)
+        return answer

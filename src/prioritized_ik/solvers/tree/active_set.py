@@ -65,7 +65,7 @@ class Search:
         if not self._factor(self.nothing()):
             return False
         for number in range(1, len(posed.parts)):
-            zeros = int(np.count_nonzero(factors.owner > number))
+            zeros = int(np.count_nonzero(~factors.fixed)) - sum(factors.ranks[: number + 1])
             most = length(posed.lengths[posed.parts[number]])  # of the squares of all singular values
             if self._cuts_zeros_alone(number, zeros, rank_tolerance * most):
                 continue
@@ -86,16 +86,17 @@ class Search:
             return None
         fixed = active.side != 0
         values = np.where(active.side > 0, posed.upper, np.where(active.side < 0, posed.lower, 0.0))
-        u, missed = factors.solve(values, self._sides(posed.sides, active), posed.reference)
-        if not np.isfinite(u).all() or missed > CERTIFIED * max(length(u), 1e-300) * posed.unit:
+        u = factors.solve(values, self._sides(posed.sides, active), posed.reference)
+        if not np.isfinite(u).all():
             return None
         for _ in range(REFINEMENTS):  # for what the first time leaves
-            more, _ = factors.solve(np.zeros(len(u)), self._sides(posed.missing(u), active), posed.reference - u)
+            more = factors.solve(np.zeros(len(u)), self._sides(posed.missing(u), active), posed.reference - u)
             u = u + more
             u[fixed] = values[fixed]
             if length(more) <= REFINED * length(u):
                 break
-        return u
+        missed = np.abs(posed.slack(u)[active.held])
+        return None if missed.max(initial=0.0) > CERTIFIED * max(length(u), 1e-300) else u
 
     def _sides(self, sides: Array, active: ActiveSet) -> Array:
         """Return right-hand sides `(k,)` without those of inequality rows that are not held, which may be infinite."""

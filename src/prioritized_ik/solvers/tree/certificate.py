@@ -2,7 +2,8 @@
 
 Multipliers come from the elimination, but what they leave of each level's gradient is worked out anew from the points and
 axes as they are given, with products by J and Jᵀ alone: a multiplier that is wrong leaves a rest, wherever it came from.
-Only how far the rest could still lower a level's cost, R⁻ᵀ of it, is counted in the elimination's coordinates.
+Only how far the rest could still lower a level's cost, R⁻ᵀ of it, is counted in the elimination's coordinates, which are
+orthonormal.
 """
 
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.solvers.certificate import FAR, Certificate
-from prioritized_ik.solvers.tree.elimination import HELD, Factors
+from prioritized_ik.solvers.tree.elimination import Factors
 from prioritized_ik.solvers.tree.posed import PosedOnTree
 from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAST_DEMAND, MARGIN, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, length
@@ -110,45 +111,58 @@ class TreeProof:
         part = posed.parts[number]
         return -posed.rows[part].transposed_times(posed.roots[part] * self._missing[part])
 
+    def _balanced(self, number: int, gradient: Array) -> tuple[Array, Array]:
+        """Return multipliers of the rows of the levels above `(k,)`, and what they leave of a gradient `(m,)`.
+
+        The lowest of these levels comes first: its rows are nothing to what those below it decide.
+        """
+        posed, factors = self._posed, self._factors
+        pulls, rest = np.zeros(len(posed.level)), gradient
+        for above in reversed(range(number)):
+            if factors.ranks[above]:
+                along = np.where(factors.fixed, 0.0, rest)
+                own = -factors.pulls(above, factors.whitened(above, factors.parts(along)[above]))
+                part = posed.parts[above]
+                rest = rest + posed.rows[part].transposed_times(own[part] * posed.roots[part])
+                pulls += own
+        return pulls, rest.copy() if rest is gradient else rest
+
     def _level(self, number: int, *, is_last: bool) -> TreeLevelProof:
         posed, factors, u, active = self._posed, self._factors, self._u, self._active
         gradient = self._gradient(number, is_last=is_last)
-        pulls = factors.multipliers(number, factors.reduced(number, gradient))
-        balance = posed.rows.transposed_times(pulls * posed.roots)
-        rest = gradient + balance
+        pulls, rest = self._balanced(number, gradient)
         bounds = np.where((active.side == 0) | self._frozen, 0.0, -rest * active.side)
         rest[active.side != 0] = 0.0
         rows = np.where(active.held, pulls[posed.parts[0]], 0.0)
-        left = factors.reduced(number, rest)
-        decided = np.where(~factors.fixed & (factors.owner == number), left, 0.0)
-        moved = factors.displacement(number, decided)
-
+        parts = factors.parts(rest)
         if is_last:
+            decided = parts[-1]
+            moved, astray = length(decided), parts[:-1]
             demand = length(u) + length(posed.reference)
-            strength, cost = 1.0, length(gradient)
+            strength, cost, steepest = 1.0, length(gradient), 1.0
         else:
+            decided = factors.whitened(number, parts[number])
+            moved, astray = length(factors.displacement(number, decided)), [*parts[:number], *parts[number + 1 :]]
             part = posed.parts[number]
             strength, cost = posed.strength(number), length(self._missing[part])
+            steepest = factors.strongest[number] or strength
             terms = posed.demand(number) + strength * length(u)
             demand = max(posed.demand(number), cost, LEAST_DEMAND * terms)
         noise = self._noise(number, pulls, is_last=is_last)
         # Along what a level does not feel its gradient is nothing but rounding: more is a rank gone wrong. So is what its
-        # multipliers leave along joints that levels above decide: more is a multiplier gone wrong.
-        astray = np.where(factors.owner < number, rest, left)
-        astray[factors.fixed | (factors.owner == number)] = 0.0
-        unfelt = length(np.maximum(np.abs(astray) - PULLS * noise, 0.0))
-        steepest = float(np.abs(factors.pivot[~factors.fixed & (factors.owner == number)]).max(initial=0.0))
-        excess = length(moved)
+        # multipliers leave along what levels above decide: more is a multiplier gone wrong.
+        off = length(np.array([length(part) for part in astray]))
+        unfelt = max(0.0, off - PULLS * length(noise))
+        excess = moved
         if unfelt:  # how far it goes if it is as flat as `UNFELT` allows
-            excess += unfelt / (UNFELT * (steepest or strength)) ** 2
-        explained = self._feigned(number, noise)
+            excess += unfelt / (UNFELT * steepest) ** 2
+        feigned = factors.parts(np.where(factors.fixed, 0.0, noise * self._signs))
+        explained = length(noise) if is_last else self._feigned(number, feigned)
         gap = float(decided @ decided) + 2.0 * unfelt * self.scale
         gap += self._slackness(bounds, rows)
         held_bounds, held_rows = np.isfinite(self._leak_of_bounds), np.isfinite(self._leak_of_rows)
-        of_bounds = self._noise_of_bounds(number, noise)
+        of_bounds, noise_of_rows = self._noise_of_multipliers(number, noise, feigned)
         wrong_bounds = (bounds < -PULLS * of_bounds) & ~held_bounds
-        holders = ~factors.fixed & (factors.owner == HELD)  # joints that the held rows decide
-        noise_of_rows = float((noise[holders] / np.abs(factors.pivot[holders])).max(initial=0.0))
         wrong_rows = (rows < -PULLS * noise_of_rows) & ~held_rows
         first_bounds = (bounds > of_bounds) & ~held_bounds
         first_rows = (rows > noise_of_rows) & ~held_rows
@@ -173,20 +187,24 @@ class TreeProof:
             noise = noise + ROUNDED * (np.abs(self._u) + np.abs(posed.reference))
         return noise
 
-    def _noise_of_bounds(self, number: int, noise: Array) -> Array:
-        """Return how uncertain multipliers of bounds are `(m,)`, given the `noise` along each joint `(m,)`.
+    def _noise_of_multipliers(self, number: int, noise: Array, feigned: list[Array]) -> tuple[Array, float]:
+        """Return how uncertain multipliers of bounds are `(m,)`, and those of rows.
 
-        Those of rows of levels above are as uncertain as what they balance, and so is what they do to joints at a bound.
+        Args:
+            number: of the level.
+            noise: of its gradient along each joint `(m,)`.
+            feigned: such a gradient, in parts.
         """
         posed, factors = self._posed, self._factors
-        free = ~factors.fixed & (factors.owner < number)
-        if not free.any():
-            return noise
-        owner, unsure = factors.owner[free], noise[free] / np.abs(factors.pivot[free])
-        typical = np.bincount(owner, unsure, minlength=number) / np.maximum(np.bincount(owner, minlength=number), 1)
-        above = posed.level < number
-        pulls = np.where(above, typical[np.where(above, posed.level, 0)], 0.0) * posed.roots
-        return noise + posed.rows.sizes_of_torques(pulls)
+        if not self._active.count:
+            return noise, 0.0
+        pulls = np.zeros(len(posed.level))
+        for above in range(number):
+            if factors.ranks[above]:
+                pulls += factors.pulls(above, factors.whitened(above, feigned[above]))
+        # What balances uncertain multipliers is as uncertain, and so is what that does to joints at a bound.
+        rows = float(np.abs(pulls[posed.parts[0]]).max(initial=0.0))
+        return noise + posed.rows.sizes_of_torques(pulls * posed.roots), rows
 
     @cached_property
     def _terms(self) -> Array:
@@ -203,11 +221,15 @@ class TreeProof:
         at_bounds = np.where(back_bounds, np.minimum(self._leak_of_bounds, FAR), 0.0)  # bounds are kept to the last bit
         return 2.0 * float(np.abs(rows) @ np.where(back_rows, leak_of_rows, slack) + np.abs(bounds) @ at_bounds)
 
-    def _feigned(self, number: int, noise: Array) -> float:
-        """Return how long a step rounding by `noise` `(m,)` can feign at a level, its signs at random."""
-        factors, signs = self._factors, np.where(np.arange(len(noise)) * 7919 % 13 < 6, 1.0, -1.0)
-        left = factors.reduced(number, np.where(factors.fixed, 0.0, noise * signs))
-        return length(factors.displacement(number, np.where(~factors.fixed & (factors.owner == number), left, 0.0)))
+    def _feigned(self, number: int, parts: list[Array]) -> float:
+        """Return how long a step a gradient of rounding, in `parts`, can feign at a level."""
+        factors = self._factors
+        return length(factors.displacement(number, factors.whitened(number, parts[number])))
+
+    @cached_property
+    def _signs(self) -> Array:
+        """Signs as if at random `(m,)`."""
+        return np.where(np.arange(len(self._u)) * 7919 % 13 < 6, 1.0, -1.0)
 
     @cached_property
     def violation(self) -> float:

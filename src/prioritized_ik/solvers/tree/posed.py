@@ -98,7 +98,7 @@ class PosedOnTree:
 
     @cached_property
     def on_joints(self) -> TreeRowsOnJoints:
-        """Rows and tree in that unit of length, for the elimination; weighted, so that each row is still the same."""
+        """Rows and tree in that unit of length, for the elimination; each row says what it did."""
         rows, tree, unit = self.rows, self.tree, self.unit
         scaled = tree.moved_to(tree.angular, tree.linear / unit, tree.anchors / unit)
         levers = (rows.points - tree.anchors[rows.joints]) / unit
@@ -106,8 +106,8 @@ class PosedOnTree:
         covectors[:, :3] = crossed(levers, rows.directions)
         covectors[:, 3:] = rows.directions
         covectors *= np.where(rows.joints == BASE, 0.0, unit)[:, None]
-        weighted = covectors * self.roots[:, None]
-        return TreeRowsOnJoints(scaled, len(self.parts) - 1, np.maximum(rows.joints, 0), self.level, weighted, covectors)
+        joints = np.maximum(rows.joints, 0)
+        return TreeRowsOnJoints(scaled, len(self.parts) - 1, rows, joints, self.level, self.roots, covectors)
 
     @cached_property
     def sides(self) -> Array:

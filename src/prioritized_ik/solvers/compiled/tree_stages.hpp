@@ -1,0 +1,227 @@
+// A kinematic tree as one chain of stages: solvers/tree/stages.py, which says what and why; names are the same.
+#pragma once
+
+#include <cstdint>
+
+#include "dense.hpp"
+
+namespace prioritized_ik {
+
+// What the caller owns and fills, see `TreeRowsOnJoints` and `CompiledElimination` in Python.
+struct TreeInput {
+    int32_t joints, rows, levels;
+    double zero, rounding, noise;  // TREE_ZERO, ROUNDING, NOISE
+    const int32_t *parents, *row_joints, *row_levels;
+    const double *axes, *arms, *given, *roots;  // (m, 6), (m, 3), (k, 6), (k)
+    const uint8_t *fixed, *counts;              // (m), (k)
+    double *lengths, *strongest;                // out (k), (levels + 1)
+    int32_t* ranks;                             // out (levels + 1)
+};
+
+constexpr int TWIST = 6;
+constexpr int BASE = -1;
+
+inline double product(const double* row, const double* twist) {
+    double sum = 0.0;
+    for (int i = 0; i < TWIST; i++) sum += row[i] * twist[i];
+    return sum;
+}
+
+// A row on the twist at a point as one on that at a point an arm `a` back.
+inline void move_row(const double* row, const double* a, double* to) {
+    to[0] = row[0] + a[1] * row[5] - a[2] * row[4];
+    to[1] = row[1] + a[2] * row[3] - a[0] * row[5];
+    to[2] = row[2] + a[0] * row[4] - a[1] * row[3];
+    to[3] = row[3], to[4] = row[4], to[5] = row[5];
+}
+
+// The twist at a point as that at a point an arm `a` away.
+inline void move_twist(const double* twist, const double* a, double* to) {
+    to[0] = twist[0], to[1] = twist[1], to[2] = twist[2];
+    to[3] = twist[3] + twist[1] * a[2] - twist[2] * a[1];
+    to[4] = twist[4] + twist[2] * a[0] - twist[0] * a[2];
+    to[5] = twist[5] + twist[0] * a[1] - twist[1] * a[0];
+}
+
+struct Stage {
+    int joints, count, before;  // its joints, base first, from joints_[joints] on; the stage that carries it
+    int states, kept;           // how many twists are the state, and where they come from, in kept_[kept ...]
+    double arm[3];
+};
+
+class Stages {
+  public:
+    std::vector<Stage> all;
+    std::vector<int> joints, kept, of_joint;  // of_joint: the stage of each
+    std::vector<double> axes, spread;         // (joints in order, 6), (stages, 6)
+    std::vector<double> zeros;                // what of each row of unit length is rounding (k)
+    std::vector<uint8_t> real;                // which rows say anything (k)
+
+    static constexpr int MOST = 6;  // joints of a stage
+
+    void build(const TreeInput& in) {
+        sort_joints(in);
+        add_states();
+        add_axes(in);
+        measure(in);
+    }
+
+    const double* axis(const Stage& stage, int i) const { return axes.data() + size_t(TWIST) * (stage.joints + i); }
+
+    // Twists (stages, 6) at a step u.
+    void twists(const double* u, std::vector<double>& out) const {
+        out.resize(all.size() * TWIST);
+        for (size_t n = 0; n < all.size(); n++) {
+            const Stage& stage = all[n];
+            double* s = out.data() + n * TWIST;
+            if (stage.before == BASE) clear(s, TWIST);
+            else move_twist(out.data() + size_t(TWIST) * stage.before, stage.arm, s);
+            for (int i = 0; i < stage.count; i++) {
+                const double *g = axis(stage, i), value = u[joints[stage.joints + i]];
+                for (int k = 0; k < TWIST; k++) s[k] += g[k] * value;
+            }
+        }
+    }
+
+  private:
+    static constexpr double SHORT = 1e-5;  // [of its terms] a length this small is worked out anew
+
+    void sort_joints(const TreeInput& in) {
+        const int m = in.joints;
+        std::vector<uint8_t> carrying(m, 0);
+        for (int i = 0; i < in.rows; i++) carrying[in.row_joints[i]] = 1;
+        std::vector<int> weight(m, 1), first(m + 1, BASE), next(m, BASE), children(m + 1, 0), some;
+        for (int j = m - 1; j >= 0; j--) {
+            const int at = in.parents[j] < 0 ? m : in.parents[j];
+            if (at < m) weight[at] += weight[j];
+            next[j] = first[at];
+            first[at] = j;
+            children[at]++;
+        }
+        all.clear(), joints.clear();
+        of_joint.assign(m, 0);
+        std::vector<std::pair<int, int>> waiting;
+        const auto push = [&](int at, int before) {
+            some.clear();
+            for (int j = first[at]; j >= 0; j = next[j]) some.push_back(j);
+            if (some.size() > 1)
+                std::sort(some.begin(), some.end(), [&](int a, int b) {
+                    return weight[a] != weight[b] ? weight[a] > weight[b] : a > b;
+                });
+            for (int j : some) waiting.push_back({j, before});
+        };
+        push(m, BASE);
+        while (!waiting.empty()) {
+            auto [j, before] = waiting.back();
+            waiting.pop_back();
+            Stage stage{int(joints.size()), 0, before, 0, 0, {}};
+            for (;;) {
+                joints.push_back(j);
+                of_joint[j] = int(all.size());
+                stage.count++;
+                if (children[j] != 1 || carrying[j] || stage.count == MOST) break;
+                j = first[j];
+            }
+            all.push_back(stage);
+            push(j, int(all.size()) - 1);
+        }
+    }
+
+    void add_states() {
+        const int count = int(all.size());
+        std::vector<int> last(count, -1), state, now;
+        for (int n = 0; n < count; n++)
+            if (all[n].before != BASE) last[all[n].before] = n;
+        kept.clear();
+        for (int n = 0; n < count; n++) {
+            Stage& stage = all[n];
+            stage.kept = int(kept.size());
+            const auto place = [&](int of) { return int(std::find(state.begin(), state.end(), of) - state.begin()); };
+            kept.push_back(stage.before == BASE ? -1 : place(stage.before));
+            now.assign(1, n);
+            for (int other : state)
+                if (last[other] > n) {
+                    kept.push_back(place(other));
+                    now.push_back(other);
+                }
+            stage.states = int(now.size());
+            state.swap(now);
+        }
+    }
+
+    void add_axes(const TreeInput& in) {
+        axes.resize(size_t(TWIST) * in.joints);
+        for (Stage& stage : all) {
+            double* a = stage.arm;
+            a[0] = a[1] = a[2] = 0.0;
+            for (int i = stage.count - 1; i >= 0; i--) {
+                const int j = joints[stage.joints + i];
+                move_twist(in.axes + size_t(TWIST) * j, a, axes.data() + size_t(TWIST) * (stage.joints + i));
+                if (in.parents[j] >= 0)
+                    for (int k = 0; k < 3; k++) a[k] += in.arms[size_t(3) * j + k];
+            }
+        }
+    }
+
+    // How much twists and rows move, and what of rows is rounding.
+    void measure(const TreeInput& in) {
+        constexpr int ALL = TWIST * TWIST;
+        std::vector<double> grams(all.size() * ALL, 0.0);
+        spread.resize(all.size() * TWIST);
+        for (size_t n = 0; n < all.size(); n++) {
+            const Stage& stage = all[n];
+            double* G = grams.data() + n * ALL;
+            if (stage.before != BASE) {
+                double half[ALL];  // G X^T, then X (G X^T), whose rows and columns are the same
+                const double* from = grams.data() + size_t(ALL) * stage.before;
+                for (int i = 0; i < TWIST; i++) move_twist(from + i * TWIST, stage.arm, half + i * TWIST);
+                for (int i = 0; i < TWIST; i++) {
+                    double column[TWIST];
+                    for (int k = 0; k < TWIST; k++) column[k] = half[k * TWIST + i];
+                    move_twist(column, stage.arm, G + i * TWIST);
+                }
+            }
+            for (int i = 0; i < stage.count; i++) {
+                const double* g = axis(stage, i);
+                for (int p = 0; p < TWIST; p++)
+                    for (int q = 0; q < TWIST; q++) G[p * TWIST + q] += g[p] * g[q];
+            }
+            for (int i = 0; i < TWIST; i++) spread[n * TWIST + i] = sqrt(max(G[i * TWIST + i], 0.0));
+        }
+        zeros.resize(in.rows);
+        real.assign(in.rows, 0);
+        double longest = 0.0;
+        for (int i = 0; i < in.rows; i++) {
+            const double* c = in.given + size_t(TWIST) * i;
+            const int n = of_joint[in.row_joints[i]];
+            const double* G = grams.data() + size_t(ALL) * n;
+            double terms = 0.0, square = 0.0;
+            for (int p = 0; p < TWIST; p++) {
+                terms += abs(c[p]) * spread[size_t(TWIST) * n + p];
+                for (int q = 0; q < TWIST; q++) square += c[p] * G[p * TWIST + q] * c[q];
+            }
+            double size = sqrt(max(square, 0.0));
+            if (size < SHORT * terms) size = length_anew(n, c);
+            in.lengths[i] = size;
+            zeros[i] = max(in.zero, in.rounding * terms / (size > 0.0 ? size : 1.0));
+            longest = max(longest, size);
+        }
+        for (int i = 0; i < in.rows; i++) real[i] = in.lengths[i] > in.rounding * longest && in.roots[i] > 0.0;
+    }
+
+    double length_anew(int n, const double* given) const {
+        double row[TWIST], moved[TWIST], squares = 0.0;
+        copy(given, row, TWIST);
+        for (;; n = all[n].before) {
+            for (int i = 0; i < all[n].count; i++) {
+                const double felt = product(row, axis(all[n], i));
+                squares += felt * felt;
+            }
+            if (all[n].before == BASE) return sqrt(squares);
+            move_row(row, all[n].arm, moved);
+            copy(moved, row, TWIST);
+        }
+    }
+};
+
+}  // namespace prioritized_ik
