@@ -161,9 +161,5 @@ EMPTY = 1e-14
 
 # --- Elimination along a kinematic tree ----------------------------------------------------------------------------------
 
-#: [of the longest row beyond a joint] What a level feels of a joint up to this is zero: what rounding leaves of rows that
-#: joints beyond have taken up. Chains of 800 links leave up to 1e-14.
-TREE_ZERO = 1e-12
-
-#: [of the longest row beyond a joint] What a level feels above this is real; in between the dense form answers.
-TREE_CLEAR = 1e-7
+#: [of the row] What a row moves of what the rows before it leave, up to this, is zero, as in `NOISE`.
+TREE_ZERO = NOISE

@@ -31,9 +31,7 @@ class TreeElimination {
             in_.ranks[number] = 0;
             in_.strongest[number] = 0.0;
             if (level.sorted.empty()) continue;
-            std::stable_sort(level.sorted.begin(), level.sorted.end(), [&](int a, int b) {
-                return stages_.of_joint[in_.row_joints[a]] < stages_.of_joint[in_.row_joints[b]];
-            });
+            sort(level);
             if (used_.empty()) level.start(in_, stages_);
             else level.start(levels_[used_.back()]);
             level.factor(in_, stages_);
@@ -120,6 +118,12 @@ class TreeElimination {
     }
 
   private:
+    void sort(Level& level) const {
+        const auto before = [&](int a, int b) { return stages_.of_joint[in_.row_joints[a]] < stages_.of_joint[in_.row_joints[b]]; };
+        if (!std::is_sorted(level.sorted.begin(), level.sorted.end(), before))
+            std::stable_sort(level.sorted.begin(), level.sorted.end(), before);
+    }
+
     // missing_ := what a level's rows lack at u, or at rest
     void missing(const Level& level, const double* sides, const double* u) {
         if (u) stages_.twists(u, twists_);

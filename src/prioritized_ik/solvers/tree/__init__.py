@@ -1,8 +1,11 @@
 """Problems on a kinematic tree, solved and proven joint by joint: as long as there are joints, not as their cube.
 
     posed.py         a problem's levels and rows of points, in its joint metric
-    elimination.py   the strict levels of one face, from the tips to the base and back; the form to read, and what the
-                     compiled one is held to (`compiled/tree.hpp`)
+    stages.py        the tree as one chain of stages
+    frames.py        what a level decides of the directions left to it, and what it leaves, orthonormal
+    triangle.py      the level's rows in the former
+    elimination.py   the strict levels of one face by these; the form to read, and what the compiled one is held to
+                     (`compiled/tree.hpp`)
     certificate.py   the proof of a step, from products with J and Jᵀ
     active_set.py    from a guess of the active rows to those of the optimum
     step.py          from a problem to its step, or to None where the dense form is to answer
@@ -20,6 +23,6 @@ What is answered, and what is left to the dense form:
 | a metric that couples joints, `noise` above the default | no |
 | a rank tolerance that cuts zeros alone (what is between is counted, in linear time) | yes |
 | a rank tolerance that cuts more | no |
-| what a level feels of a joint neither clearly zero nor clearly not | no |
+| arms and limbs that are straight or nearly so | yes, unless a level below another decides by less than 1e-9 |
 | rows in conflict, or a certificate without margin | no |
 """

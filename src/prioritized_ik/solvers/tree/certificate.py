@@ -94,6 +94,7 @@ class TreeProof:
         self._slack = posed.slack(u)
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
         self._missing = posed.missing(u)
+        self._off = np.zeros(m)  # how far the step is off what levels so far would have, as their gradients show
         self.levels = list(self._prove())
 
     def _prove(self) -> Iterator[TreeLevelProof]:
@@ -138,12 +139,16 @@ class TreeProof:
         if is_last:
             decided = parts[-1]
             moved, astray = length(decided), parts[:-1]
+            blur = self._off
             demand = length(u) + length(posed.reference)
             strength, cost, steepest = 1.0, length(gradient), 1.0
         else:
             decided = factors.whitened(number, parts[number])
-            moved, astray = length(factors.displacement(number, decided)), [*parts[:number], *parts[number + 1 :]]
+            displacement = factors.displacement(number, decided)
+            moved, astray = length(displacement), [*parts[:number], *parts[number + 1 :]]
             part = posed.parts[number]
+            self._off = self._off + displacement
+            blur = posed.rows[part].transposed_times(posed.roots[part] ** 2 * posed.rows[part].times(self._off))
             strength, cost = posed.strength(number), length(self._missing[part])
             steepest = factors.strongest[number] or strength
             terms = posed.demand(number) + strength * length(u)
@@ -157,11 +162,12 @@ class TreeProof:
         if unfelt:  # how far it goes if it is as flat as `UNFELT` allows
             excess += unfelt / (UNFELT * steepest) ** 2
         feigned = factors.parts(np.where(factors.fixed, 0.0, noise * self._signs))
+        noise = noise + np.abs(blur)
         explained = length(noise) if is_last else self._feigned(number, feigned)
         gap = float(decided @ decided) + 2.0 * unfelt * self.scale
         gap += self._slackness(bounds, rows)
         held_bounds, held_rows = np.isfinite(self._leak_of_bounds), np.isfinite(self._leak_of_rows)
-        of_bounds, noise_of_rows = self._noise_of_multipliers(number, noise, feigned)
+        of_bounds, noise_of_rows = self._noise_of_multipliers(number, noise, blur)
         wrong_bounds = (bounds < -PULLS * of_bounds) & ~held_bounds
         wrong_rows = (rows < -PULLS * noise_of_rows) & ~held_rows
         first_bounds = (bounds > of_bounds) & ~held_bounds
@@ -187,18 +193,19 @@ class TreeProof:
             noise = noise + ROUNDED * (np.abs(self._u) + np.abs(posed.reference))
         return noise
 
-    def _noise_of_multipliers(self, number: int, noise: Array, feigned: list[Array]) -> tuple[Array, float]:
+    def _noise_of_multipliers(self, number: int, noise: Array, blur: Array) -> tuple[Array, float]:
         """Return how uncertain multipliers of bounds are `(m,)`, and those of rows.
 
         Args:
             number: of the level.
             noise: of its gradient along each joint `(m,)`.
-            feigned: such a gradient, in parts.
+            blur: what of that comes of what the step is off `(m,)`.
         """
         posed, factors = self._posed, self._factors
         if not self._active.count:
             return noise, 0.0
         pulls = np.zeros(len(posed.level))
+        feigned = factors.parts(np.where(factors.fixed, 0.0, noise * np.where(blur < 0.0, -1.0, 1.0)))
         for above in range(number):
             if factors.ranks[above]:
                 pulls += factors.pulls(above, factors.whitened(above, feigned[above]))

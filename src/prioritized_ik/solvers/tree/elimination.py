@@ -166,13 +166,18 @@ class Elimination(Factors):
         self._inputs = [stage.joints[~fixed[stage.joints]] for stage in self._stages] + [np.zeros(0, dtype=int)]
         self._frames = [self._first_frame()]
         self._parted: list[list[Parted]] = []
-        self._triangles: list[Triangle] = []
+        self._triangles: list[Triangle | None] = []
         counts = self._real & ((rows.level != HELD) | held)
         for level in range(rows.levels + 1):
             numbers: dict[int, list[int]] = {}
             for row in np.flatnonzero(counts & (rows.level == level)).tolist():
                 numbers.setdefault(int(self._stage_of_rows[row]), []).append(row)
             frame = self._frames[-1]
+            if not numbers:  # the next one has the same frame
+                self._parted.append([])
+                self._triangles.append(None)
+                self._frames.append(frame)
+                continue
             steps = part(
                 frame,
                 {stage: self._unit[some] for stage, some in numbers.items()},
@@ -183,14 +188,16 @@ class Elimination(Factors):
             self._triangles.append(Triangle(frame, steps, weighted, numbers))
             self._frames.append(next_frame(frame, steps))
         self.ranks = [sum(step.decided for step in steps) for steps in self._parted]
-        self.strongest = [triangle.strongest for triangle in self._triangles]
-        clear = all(triangle.weakest > NOISE * triangle.strongest for triangle in self._triangles if triangle.strongest)
+        self.strongest = [triangle.strongest if triangle else 0.0 for triangle in self._triangles]
+        clear = all(some.weakest > NOISE * some.strongest for some in self._triangles if some and some.strongest)
         return Ending.CLEAR if clear else Ending.RANK
 
     def solve(self, values: Array, sides: Array, reference: Array) -> Array:
         """See `Factors.solve`."""
         rows, u = self.rows, np.where(self.fixed, values, 0.0)
         for level, triangle in enumerate(self._triangles):
+            if triangle is None:
+                continue
             missing = sides - rows.roots * rows.points.times(u)
             u = u + self._joined(level, triangle.solve(triangle.from_sides(missing)))
         return u + self._joined(rows.levels, None, self._split(np.where(self.fixed, 0.0, reference - u))[1])
@@ -198,21 +205,26 @@ class Elimination(Factors):
     def parts(self, gradient: Array) -> list[Array]:
         """See `Factors.parts`."""
         decided, rest = self._split(gradient)
-        return [np.concatenate(some) for some in (*decided, rest)]
+        return [_whole(some) for some in (*decided, rest)]
 
     def whitened(self, level: int, part: Array) -> Array:
         """See `Factors.whitened`."""
-        return np.concatenate(self._triangles[level].whitened(self._by_step(level, part)))
+        triangle = self._triangles[level]
+        return part if triangle is None else _whole(triangle.whitened(self._by_step(level, part)))
 
     def pulls(self, level: int, whitened: Array) -> Array:
         """See `Factors.pulls`."""
         out = np.zeros(len(self.rows.level))
-        self._triangles[level].pulls(self._by_step(level, whitened), out)
+        if (triangle := self._triangles[level]) is not None:
+            triangle.pulls(self._by_step(level, whitened), out)
         return out
 
     def displacement(self, level: int, whitened: Array) -> Array:
         """See `Factors.displacement`."""
-        return self._joined(level, self._triangles[level].solve(self._by_step(level, whitened)))
+        triangle = self._triangles[level]
+        if triangle is None:
+            return np.zeros(len(self.fixed))
+        return self._joined(level, triangle.solve(self._by_step(level, whitened)))
 
     def row_lengths(self) -> Array:
         """See `Factors.row_lengths`."""
@@ -242,13 +254,14 @@ class Elimination(Factors):
 
     def _split(self, gradient: Array) -> tuple[list[Coordinates], Coordinates]:
         """Return a gradient's coordinates at each level, step by step, and those of what all leave."""
-        inputs, decided = [gradient[numbers] for numbers in self._inputs], []
+        inputs, decided = [gradient[numbers] for numbers in self._inputs], list[Coordinates]()
         for steps in self._parted:
+            if not steps:
+                decided.append([])
+                continue
             own, left, w = [], [], np.zeros(0)
             for step, given in zip(steps, inputs, strict=True):
-                e, w, f = np.split(
-                    step.turn.T @ np.concatenate([w, given]), [step.decided, step.decided + step.left]
-                )
+                e, w, f = np.split(step.turn.T @ np.concatenate([w, given]), [step.decided, step.decided + step.left])
                 own.append(e)
                 left.append(f)
             decided.append(own)
@@ -259,6 +272,8 @@ class Elimination(Factors):
         """Return the step `(m,)` of a level's coordinates, and of those of what it leaves; zero unless given."""
         inputs = [np.zeros(step.inputs.shape[1]) for step in self._frames[level + 1]] if left is None else left
         for number in range(level, -1, -1):
+            if not self._parted[number]:
+                continue
             w, made = np.zeros(0), []
             for k, step in reversed(list(enumerate(self._parted[number]))):
                 own = decided[k] if decided is not None and number == level else np.zeros(step.decided)
@@ -284,7 +299,7 @@ class Elimination(Factors):
         return frame
 
     def _measured(self) -> tuple[Array, Array, Array]:
-        """Return how much each stage's twist moves `(stages, 6)`, the sizes of rows' terms `(k,)` and their lengths `(k,)`."""
+        """Return how much stages' twists move `(stages, 6)`, and sizes of rows' terms and of rows `(k,)`."""
         grams: list[Array] = []
         for stage in self._stages:
             moved = twist_moved(stage.arm)
@@ -298,6 +313,10 @@ class Elimination(Factors):
         for row in np.flatnonzero(sizes < SHORT * terms):
             sizes[row] = _length_anew(self._stages, int(at[row]), given[row])
         return spread, terms, sizes
+
+
+def _whole(coordinates: Coordinates) -> Array:
+    return np.concatenate([np.zeros(0), *coordinates])
 
 
 def _length_anew(stages: list[Stage], number: int, row: Array) -> float:

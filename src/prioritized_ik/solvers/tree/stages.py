@@ -74,9 +74,7 @@ def stages_of(tree: KinematicTree, carrying: NDArray[np.bool_]) -> list[Stage]:
 def _stage(tree: KinematicTree, joints: list[int], before: int, stages: list[Stage]) -> Stage:
     anchors = tree.anchors
     at = anchors[joints[-1]]
-    axes = np.array(
-        [twist_moved(at - anchors[j]) @ np.concatenate([tree.angular[j], tree.linear[j]]) for j in joints]
-    )
+    axes = np.array([twist_moved(at - anchors[j]) @ np.concatenate([tree.angular[j], tree.linear[j]]) for j in joints])
     arm = np.zeros(3) if before == BASE else at - anchors[stages[before].joints[-1]]
     return Stage(np.array(joints), axes, before, arm)
 

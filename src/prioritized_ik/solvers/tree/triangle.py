@@ -89,19 +89,23 @@ class Triangle:
 
     def solve(self, q: Coordinates) -> Coordinates:
         """Return R⁻¹ q."""
-        e, t = [], np.zeros(0)
+        e, t = Coordinates(), np.zeros(0)
         for at, parted, step, given in zip(self._frame, self._parted, self._steps, q, strict=True):
-            own = np.linalg.solve(step.root, given - step.behind @ t)
+            own = _solved(step.root, given - step.behind @ t)
             t = at.flow @ t + parted.moved @ own
             e.append(own)
         return e
 
     def whitened(self, gradient: Coordinates) -> Coordinates:
         """Return R⁻ᵀ of a gradient."""
-        w, back = [], np.zeros(0)
+        w, back = Coordinates(), np.zeros(0)
         whole = zip(self._frame, self._parted, self._steps, gradient, strict=True)
         for at, parted, step, given in reversed(list(whole)):
-            own = np.linalg.solve(step.root.T, given - parted.moved.T @ back)
+            own = _solved(step.root.T, given - parted.moved.T @ back)
             back = at.flow.T @ back + step.behind.T @ own
             w.append(own)
         return w[::-1]
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, right), dtype=float)
