@@ -8,7 +8,7 @@
                    for all levels), face.hpp (the step where some rows hold), certificate.hpp, written.hpp, active_set.hpp
     packed.hpp     problems that are handed over as one array, see ../../packed.py
     dense.hpp      the linear algebra beneath; with singular_values.hpp and nonnegative.hpp
-    tree.hpp       the elimination along a kinematic tree, for tree.py, see solvers/tree; on tree_stages.hpp (the tree as a chain),
+    tree.hpp       the elimination along a kinematic tree, for tree.py, see solvers/tree; on tree_stages.hpp (its stages),
                    tree_frame.hpp (what a level decides) and tree_level.hpp (its triangle)
     winding.hpp    a winding controller's look and the numbers of its problem, for winding/compiled.py
 
