@@ -7,6 +7,7 @@ one of soft inequalities, which counts only what exceeds its target.
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -19,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from prioritized_ik.errors import InputError
 from prioritized_ik.tolerances import NOISE, ROUNDING
 from prioritized_ik.validation import (
+    LARGEST,
     Array,
     distinct,
     finite_array,
@@ -563,6 +565,50 @@ def trusted_problem(levels: tuple[Level, ...], bounds: Bounds | None, rows: Rows
         reference=zeros,
         equalities=no_equality,
         metric=ones,
+        noise=NOISE,
+    )
+
+
+def posed_level(
+    matrix: Array, target: Array, weights: Array, name: str, damping: float = 0.0, below: str = "free"
+) -> Level:
+    """Return a level of kind `"equal"` of arrays that this package made, of shapes that fit: it looks at numbers alone.
+
+    Raises:
+        InputError: numbers that are not finite or too large, as `Level` says.
+    """
+    if not (np.vdot(matrix, matrix) + np.vdot(target, target) <= LARGEST and math.isfinite(damping)):
+        return Level(matrix, target, weights, name, "equal", damping, below)
+    return trusted(
+        Level, matrix=matrix, target=target, weights=weights, name=name, kind="equal", damping=damping, below=below
+    )
+
+
+def posed_bounds(lower: Array, upper: Array, names: tuple[str, ...]) -> Bounds:
+    """Return bounds of arrays that this package made, one a joint of `names`: it looks at numbers alone.
+
+    Raises:
+        InputError: bounds that no step keeps, or that are no numbers, as `Bounds` says.
+    """
+    inside = (lower <= upper) & (lower <= LARGEST) & (upper >= -LARGEST)
+    return trusted(Bounds, lower=lower, upper=upper, names=names) if inside.all() else Bounds(lower, upper, names)
+
+
+def posed_problem(
+    levels: Sequence[Level], bounds: Bounds, rows: Rows, equalities: Equalities, metric: Array | None = None
+) -> IKProblem:
+    """Return a problem with reference zero whose parts fit each other, and whose metric, if given, needs no check."""
+    zeros, ones, _, without, no_equality = _nothing(len(bounds.lower))
+    if rows is not without or equalities is not no_equality:
+        _check_names(bounds, rows, equalities)
+    return trusted(
+        IKProblem,
+        levels=tuple(levels),
+        bounds=bounds,
+        rows=rows,
+        reference=zeros,
+        equalities=equalities,
+        metric=ones if metric is None else metric,
         noise=NOISE,
     )
 

@@ -5,21 +5,77 @@ rows. Bounds of several limits that leave no room become rows too, named after t
 and named like any other.
 """
 
+import math
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import mink
 import numpy as np
+from numpy.typing import NDArray
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.limits import joint_names
 from prioritized_ik.mink.errors import InfeasibleIkError
 from prioritized_ik.mink.levels import met_rows, rows_of
 from prioritized_ik.mink.names import numbered, row_name, task_name
-from prioritized_ik.problem import Bounds, Equalities, Rows
+from prioritized_ik.problem import Bounds, Equalities, Rows, posed_bounds
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array, distinct
+
+
+@dataclass(frozen=True)
+class _Pattern:
+    """What the matrix of a limit says, whatever its sides: of most limits it is the same at every step.
+
+    Attributes:
+        matrix: G `(r, nv)`.
+        singles: numbers of the rows with one entry.
+        factors: these entries.
+        upper, lower: which of `singles` bound a joint from above, and from below.
+        upper_dofs, lower_dofs: the joints.
+        others: numbers of the rows with several entries or none.
+        repeats: whether a joint has several rows from one side.
+    """
+
+    matrix: Array
+    singles: NDArray[np.int_]
+    factors: Array
+    upper: NDArray[np.int_]
+    lower: NDArray[np.int_]
+    upper_dofs: NDArray[np.int_]
+    lower_dofs: NDArray[np.int_]
+    others: NDArray[np.int_]
+    repeats: bool
+
+    @staticmethod
+    def of(matrix: Array) -> "_Pattern":
+        """Return the pattern of a finite matrix."""
+        single = np.count_nonzero(matrix, axis=1) == 1
+        singles, others = np.flatnonzero(single), np.flatnonzero(~single)
+        dofs = (matrix[singles] != 0.0).argmax(axis=1)
+        factors = matrix[singles, dofs]
+        upper, lower = np.flatnonzero(factors > 0.0), np.flatnonzero(factors < 0.0)
+        repeats = any(len(np.unique(dofs[side])) < len(side) for side in (upper, lower))
+        return _Pattern(np.array(matrix), singles, factors, upper, lower, dofs[upper], dofs[lower], others, repeats)
+
+    def fits(self, matrix: Array) -> bool:
+        """Whether this is the pattern of a matrix."""
+        return matrix.shape == self.matrix.shape and bool((matrix == self.matrix).all())
+
+
+#: The last pattern of each limit.
+_PATTERNS: weakref.WeakKeyDictionary[mink.Limit, _Pattern] = weakref.WeakKeyDictionary()
+
+
+def _pattern_of(limit: mink.Limit, name: str, matrix: Array) -> _Pattern:
+    known = _PATTERNS.get(limit)
+    if known is None or not known.fits(matrix):
+        if not np.isfinite(matrix).all():
+            raise _not_finite(name)
+        known = _PATTERNS[limit] = _Pattern.of(matrix)
+    return known
 
 
 @dataclass
@@ -28,38 +84,42 @@ class _Pool:
 
     Attributes:
         lower, upper: the tightest bounds so far `(nv,)`.
-        of_lower, of_upper: the limits that they come from, by joint.
+        bounded: the name of each limit that has bounds, with its lower and upper ones.
         matrix, sides, names: the rows.
     """
 
     lower: Array
     upper: Array
-    of_lower: dict[int, str] = field(default_factory=dict)
-    of_upper: dict[int, str] = field(default_factory=dict)
+    bounded: list[tuple[str, Array, Array]] = field(default_factory=list)
     matrix: list[Array] = field(default_factory=list)
     sides: list[float] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
 
-    def bound(self, rows: Array, sides: Array, limit: str) -> None:
-        """Take in rows `(r, nv)` · Δq <= sides `(r,)`, each of one entry."""
-        dofs = (rows != 0.0).argmax(axis=1)
-        factors = rows[np.arange(len(rows)), dofs]
-        above, values = factors > 0.0, sides / factors
+    def bound(self, pattern: _Pattern, sides: Array, limit: str) -> None:
+        """Take in the rows with one entry, of sides `(r,)` of all rows."""
+        values = sides[pattern.singles] / pattern.factors
         upper, lower = np.full(len(self.upper), np.inf), np.full(len(self.lower), -np.inf)
-        np.minimum.at(upper, dofs[above], values[above])
-        np.maximum.at(lower, dofs[~above], values[~above])
-        for mine, other, of, tighter in (
-            (self.upper, upper, self.of_upper, upper < self.upper),
-            (self.lower, lower, self.of_lower, lower > self.lower),
-        ):
-            mine[tighter] = other[tighter]
-            of.update(dict.fromkeys(np.flatnonzero(tighter).tolist(), limit))
+        if pattern.repeats:
+            np.minimum.at(upper, pattern.upper_dofs, values[pattern.upper])
+            np.maximum.at(lower, pattern.lower_dofs, values[pattern.lower])
+        else:
+            upper[pattern.upper_dofs], lower[pattern.lower_dofs] = values[pattern.upper], values[pattern.lower]
+        self.bounded.append((limit, lower, upper))
+        np.minimum(self.upper, upper, out=self.upper)
+        np.maximum(self.lower, lower, out=self.lower)
 
     def row(self, row: Array, side: float, name: str) -> None:
         """Take in row · Δq <= side."""
         self.matrix.append(row)
         self.sides.append(side)
         self.names.append(name)
+
+    def limits_of(self, dof: int) -> tuple[str, str]:
+        """Return the limits that a joint's lower and upper bound come from: of equally tight ones the first."""
+        _, tightest, _ = max(self.bounded, key=lambda entry: entry[1][dof])
+        lower = next(limit for limit, low, _ in self.bounded if low[dof] == tightest[dof])
+        _, _, tightest = min(self.bounded, key=lambda entry: entry[2][dof])
+        return lower, next(limit for limit, _, high in self.bounded if high[dof] == tightest[dof])
 
 
 def hard_limits(configuration: mink.Configuration, limits: Sequence[mink.Limit] | None, dt: float) -> tuple[Bounds, Rows]:
@@ -84,9 +144,12 @@ def hard_limits(configuration: mink.Configuration, limits: Sequence[mink.Limit] 
     for limit, name in zip(chosen, called, strict=True):
         _collect(pool, configuration, limit, name, dt)
     joints = joint_names(model)
-    _part(pool, joints)
-    rows = Rows(np.reshape(pool.matrix, (-1, model.nv)), pool.sides, distinct(pool.names))
-    return Bounds(pool.lower, pool.upper, joints), rows
+    if not (pool.lower <= pool.upper).all():
+        _part(pool, joints)
+    bounds = posed_bounds(pool.lower, pool.upper, joints)
+    if not pool.names:
+        return bounds, Rows.none(model.nv)
+    return bounds, Rows(np.array(pool.matrix), pool.sides, distinct(pool.names))
 
 
 def _collect(pool: _Pool, configuration: mink.Configuration, limit: mink.Limit, name: str, dt: float) -> None:
@@ -99,18 +162,22 @@ def _collect(pool: _Pool, configuration: mink.Configuration, limit: mink.Limit, 
             f"{name} has rows of shape {np.shape(matrix)}; expected ({len(sides)}, {configuration.nv}): is it made for "
             "another model?"
         )
-    if np.isnan(sides).any() or not np.isfinite(matrix).all():
-        raise InputError(f"{name} has rows that are not finite at this configuration; expected numbers.")
-    entries = np.count_nonzero(matrix, axis=1)
-    binding, single = sides < np.inf, entries == 1
-    pool.bound(matrix[binding & single], sides[binding & single], name)
-    for place in np.flatnonzero(binding & ~single):
+    if math.isnan(sides.sum()) and np.isnan(sides).any():  # of infinities alone it may be, too
+        raise _not_finite(name)
+    pattern = _pattern_of(limit, name, matrix)
+    if len(pattern.singles):
+        pool.bound(pattern, sides, name)
+    for place in pattern.others:
         row, side = matrix[place], float(sides[place])
-        if entries[place] or side < 0.0:
+        if side < np.inf and (side < 0.0 or row.any()):
             called = row_name(configuration.model, limit, name, int(place), row)
-            if not entries[place]:
+            if not row.any():
                 raise _impossible(f"{called} moves with no joint, but must not exceed {side:g}: no step keeps it.")
             pool.row(row, side, called)
+
+
+def _not_finite(name: str) -> InputError:
+    return InputError(f"{name} has rows that are not finite at this configuration; expected numbers.")
 
 
 def _part(pool: _Pool, joints: Sequence[str]) -> None:
@@ -121,8 +188,9 @@ def _part(pool: _Pool, joints: Sequence[str]) -> None:
             pool.lower[dof] = pool.upper[dof]
             continue
         unit = np.eye(len(joints))[dof]
-        pool.row(unit, high, f"{pool.of_upper[dof]}: {joints[dof]} upper")
-        pool.row(-unit, -low, f"{pool.of_lower[dof]}: {joints[dof]} lower")
+        of_lower, of_upper = pool.limits_of(dof)
+        pool.row(unit, high, f"{of_upper}: {joints[dof]} upper")
+        pool.row(-unit, -low, f"{of_lower}: {joints[dof]} lower")
         pool.lower[dof], pool.upper[dof] = -np.inf, np.inf
 
 
@@ -133,8 +201,10 @@ def hard_tasks(configuration: mink.Configuration, constraints: Sequence[mink.Tas
         InputError: something that is no task with a Jacobian, or one of another model.
         InfeasibleIkError: a row that no joint moves and that is not met.
     """
+    if not constraints:
+        return Equalities.none(configuration.nv)
     matrices, sides, names = [np.zeros((0, configuration.nv))], [np.zeros(0)], []
-    chosen = list(constraints or ())
+    chosen = list(constraints)
     for task in chosen:
         if not isinstance(task, mink.Task):
             raise InputError(f"constraints holds {task!r}; expected mink's tasks with a Jacobian and an error.")

@@ -19,7 +19,7 @@ from mink.tasks import BaseTask
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.mink.names import task_name
-from prioritized_ik.problem import Level
+from prioritized_ik.problem import Level, posed_level
 from prioritized_ik.solvers.methods import DAMPING
 from prioritized_ik.tasks.turns import across
 from prioritized_ik.tolerances import ROUNDING
@@ -92,24 +92,33 @@ def levels_of(
     levels: list[Level] = []
     shared = damping
     for number, tasks in enumerate(groups, 1):
-        parts = [objective(configuration, task) for task in tasks]
-        own = sum(part.damping for part in parts)
-        shared += own
-        matrix = np.vstack([np.zeros((0, configuration.nv)), *(part.matrix for part in parts)])
-        weights = np.concatenate([np.zeros(0), *(part.weights for part in parts)])
+        part = _joined([objective(configuration, task) for task in tasks], configuration.nv)
+        shared += part.damping
         last = number == len(groups)  # nobody needs what it leaves: one solve instead of two
-        holds = last or (below == "hold" and _strains(matrix, weights, own))
+        holds = last or (below == "hold" and _strains(part.matrix, part.weights, part.damping))
         levels.append(
-            Level(
-                matrix,
-                np.concatenate([np.zeros(0), *(part.target for part in parts)]),
-                weights,
-                name=" + ".join(map(task_name, tasks)) or f"level {number}",
-                damping=shared if last or shared > DAMPING else 0.0,
-                below="hold" if holds else "free",
+            posed_level(
+                part.matrix,
+                part.target,
+                part.weights,
+                " + ".join([task_name(task) for task in tasks]) or f"level {number}",
+                shared if last or shared > DAMPING else 0.0,
+                "hold" if holds else "free",
             )
         )
     return levels
+
+
+def _joined(parts: Sequence[Objective], nv: int) -> Objective:
+    """Return the objective that is the sum of all."""
+    if len(parts) == 1:
+        return parts[0]
+    return Objective(
+        np.concatenate([np.zeros((0, nv)), *(part.matrix for part in parts)]),
+        np.concatenate([np.zeros(0), *(part.target for part in parts)]),
+        np.concatenate([np.zeros(0), *(part.weights for part in parts)]),
+        sum([part.damping for part in parts]),
+    )
 
 
 def _strains(matrix: Array, weights: Array, damping: float) -> bool:
@@ -130,13 +139,19 @@ def objective(configuration: mink.Configuration, task: BaseTask) -> Objective:
     if not isinstance(task, mink.Task) or _has_own_residual(task):
         return _own_objective(configuration, task)
     matrix, error = rows_of(configuration, task)
-    cost = np.broadcast_to(np.asarray(task.cost, dtype=float), error.shape)  # after the error: it may depend on it
-    strained = cost * task.gain * error
-    damping = task.lm_damping * float(strained @ strained)
+    cost = np.asarray(task.cost, dtype=float)  # after the error: it may depend on it
+    if cost.shape != error.shape:
+        cost = np.broadcast_to(cost, error.shape)
+    damping = 0.0
+    if task.lm_damping:
+        strained = cost * task.gain * error
+        damping = task.lm_damping * float(strained @ strained)
     matrix, error = met_rows(task, matrix, error)
     cost = cost[: len(error)]  # one for all of a direction
     counted = cost > 0.0
-    return Objective(matrix[counted], -task.gain * error[counted], cost[counted] ** 2, damping)
+    if not counted.all():
+        matrix, error, cost = matrix[counted], error[counted], cost[counted]
+    return Objective(matrix, -task.gain * error, cost * cost, damping)
 
 
 def met_rows(task: mink.Task, matrix: Array, error: Array) -> tuple[Array, Array]:
@@ -158,7 +173,7 @@ def rows_of(configuration: mink.Configuration, task: mink.Task) -> tuple[Array, 
         InputError: a task of another model.
     """
     error = np.asarray(task.compute_error(configuration), dtype=float)
-    matrix = np.asarray(task.compute_jacobian(configuration), dtype=float)
+    matrix = np.array(task.compute_jacobian(configuration), dtype=float)  # a copy: it may be the task's own
     _fits(configuration, task, matrix, len(error))
     return matrix, error
 
@@ -174,7 +189,7 @@ def _own_objective(configuration: mink.Configuration, task: BaseTask) -> Objecti
     if residual is not None:
         matrix, target, damping = residual
         _fits(configuration, task, matrix, len(target))
-        return Objective(matrix, target, np.ones(len(target)), float(damping))
+        return Objective(np.array(matrix, dtype=float), np.array(target, dtype=float), np.ones(len(target)), float(damping))
     hessian, linear = task.compute_qp_objective(configuration)
     _fits(configuration, task, hessian, configuration.nv)
     matrix, target = factored(task_name(task), hessian, linear)

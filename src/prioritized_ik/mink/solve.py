@@ -12,7 +12,7 @@ from prioritized_ik.errors import InfeasibleError, InputError, StepNotFoundError
 from prioritized_ik.mink.errors import InfeasibleIkError, NoStepFoundError, OutsideLimitsError
 from prioritized_ik.mink.hard import hard_limits, hard_tasks
 from prioritized_ik.mink.levels import Tasks, grouped, levels_of
-from prioritized_ik.problem import BELOW, IKProblem
+from prioritized_ik.problem import BELOW, IKProblem, posed_problem
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.methods import DAMPING, Method
 from prioritized_ik.solvers.registry import DEFAULT
@@ -62,13 +62,13 @@ def build_problem(
     _update_tendons(configuration)
     levels = levels_of(configuration, grouped(tasks, priority), damping, below)
     bounds, rows = hard_limits(configuration, limits, dt)
-    return IKProblem(levels, bounds, rows, equalities=hard_tasks(configuration, constraints))
+    return posed_problem(levels, bounds, rows, hard_tasks(configuration, constraints))
 
 
 def _update_tendons(configuration: mink.Configuration) -> None:
     """Bring the Jacobians of coupled tendons up to date, which mink leaves as they were."""
     model, data = configuration.model, configuration.data
-    if (model.eq_type == mujoco.mjtEq.mjEQ_TENDON).any():
+    if model.neq and (model.eq_type == mujoco.mjtEq.mjEQ_TENDON).any():
         mujoco.mj_tendon(model, data)
         mujoco.mj_makeConstraint(model, data)
 
