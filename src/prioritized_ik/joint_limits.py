@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from prioritized_ik.errors import InputError
 from prioritized_ik.guard import OUTSIDE, Guarded, Limit, Way
 from prioritized_ik.limits import joint_names, joint_range_bounds
-from prioritized_ik.problem import Bounds, Rows, trusted
+from prioritized_ik.problem import Bounds, Rows, posed_bounds
 from prioritized_ik.robot import Robot
 from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array, finite_array, gain_of, non_negative, one_of, positive
@@ -55,6 +55,7 @@ class JointRange(Limit):
         limited = model.jnt_limited != 0
         self._joints = np.flatnonzero(limited & np.isin(model.jnt_type, (_HINGE, _SLIDE)))
         self._balls = np.flatnonzero(limited & (model.jnt_type == _BALL))
+        self._dofs, self._places = model.jnt_dofadr[self._joints], model.jnt_qposadr[self._joints]
         low, high = model.jnt_range[self._joints].T
         self._low, self._high = low + self._margin, high - self._margin
         narrow = [*self._joints[self._low > self._high], *self._balls[model.jnt_range[self._balls, 1] < self._margin]]
@@ -70,15 +71,15 @@ class JointRange(Limit):
         return Guarded(bounds, balls.rows, returning + balls.recovery)
 
     def _scalars(self, robot: Robot, dt: float) -> tuple[Bounds, Rows | None]:
-        model, names = robot.model, joint_names(robot.model)
+        model, names, dofs = robot.model, joint_names(robot.model), self._dofs
         lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
-        dofs, here = model.jnt_dofadr[self._joints], robot.data.qpos[model.jnt_qposadr[self._joints]]
+        here = robot.data.qpos[self._places]
         down, up = self._low - here, self._high - here
         lower[dofs], upper[dofs] = self._gain * np.minimum(down, 0.0), self._gain * np.maximum(up, 0.0)
         excess = np.maximum(down, -up)
         out = np.flatnonzero(excess > ROUNDING)
         if not out.size:
-            return trusted(Bounds, lower=lower, upper=upper, names=names), None
+            return posed_bounds(lower, upper, names), None
         back, low = np.minimum(excess[out], self._speed * dt), down[out] > 0.0
         if self._outside == "require":
             lower[dofs[out[low]]], upper[dofs[out[~low]]] = back[low], -back[~low]
@@ -141,10 +142,14 @@ class Velocity(Limit):
     ) -> None:
         super().__init__(robot)
         self._fastest = _by_dof(robot, "fastest", fastest, base)
+        self._dt, self._guarded = 0.0, Guarded()  # of the last step
 
     def _at(self, robot: Robot, dt: float) -> Guarded:
-        furthest = self._fastest * dt
-        return Guarded(trusted(Bounds, lower=-furthest, upper=furthest, names=joint_names(robot.model)))
+        if dt != self._dt:
+            furthest = self._fastest * dt
+            bounds = posed_bounds(-furthest, furthest, joint_names(robot.model))
+            self._dt, self._guarded = dt, Guarded(bounds)
+        return self._guarded
 
 
 class Acceleration(Limit):

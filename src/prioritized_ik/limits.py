@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Rows, trusted
 from prioritized_ik.touch import OBJECT, Touch, TouchSensor
-from prioritized_ik.validation import Array, distinct, finite_array, gain_of, non_negative, positive
+from prioritized_ik.validation import Array, distinct, finite_array, gain_of, non_negative, positive, read_only
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 OUTSIDE = 1e-4  # [rad] a joint this far outside its range is rounding of accepted steps; further is an error
@@ -19,8 +19,8 @@ CONTACT_MARGIN = 0.05  # [m] only links nearer to the object than this get a con
 #: Names of joints by model: they cannot change, and asking MuJoCo for each takes longer than all else here.
 _NAMES: weakref.WeakKeyDictionary[mujoco.MjModel, tuple[str, ...]] = weakref.WeakKeyDictionary()
 
-#: Which degrees of freedom translate, by model.
-_TRANSLATING: weakref.WeakKeyDictionary[mujoco.MjModel, NDArray[np.bool_]] = weakref.WeakKeyDictionary()
+#: The last metric of each model, and the length that it was made with [m].
+_METRICS: weakref.WeakKeyDictionary[mujoco.MjModel, tuple[float, Array]] = weakref.WeakKeyDictionary()
 
 #: Limited hinges and slides by model and by which joints it has limited now: their numbers, and places in dθ and q.
 _LIMITED: weakref.WeakKeyDictionary[mujoco.MjModel, dict[bytes, tuple[NDArray[np.int_], ...]]] = weakref.WeakKeyDictionary()
@@ -44,7 +44,7 @@ def _joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def joint_metric(model: mujoco.MjModel, length: float | None = None) -> Array:
-    """Return a diagonal metric `(m,)` for `IKProblem(metric=…)` in which metres and radians are of one size.
+    """Return a diagonal metric `(m,)`, not to be written, for `IKProblem(metric=…)` in which metres and radians are of one size.
 
     1 for hinges and balls [rad⁻²]; 1 / `length`² for slides and the translation of a free base [m⁻²], so that a slide
     of one `length` weighs as much as a turn of one radian.
@@ -57,10 +57,10 @@ def joint_metric(model: mujoco.MjModel, length: float | None = None) -> Array:
         InputError: a length that is not positive.
     """
     size = positive("length", 0.5 * float(model.stat.extent) if length is None else length)
-    translating = _TRANSLATING.get(model)
-    if translating is None:
-        translating = _TRANSLATING[model] = _translating(model)
-    return np.where(translating, 1.0 / size**2, 1.0)
+    known = _METRICS.get(model)
+    if known is None or known[0] != size:
+        known = _METRICS[model] = size, read_only(np.where(_translating(model), 1.0 / size**2, 1.0))
+    return known[1]
 
 
 def _translating(model: mujoco.MjModel) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ import numpy as np
 from prioritized_ik.curvature import Straight
 from prioritized_ik.errors import InputError
 from prioritized_ik.guard import Guarded, Limit
-from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows, posed_level, posed_problem
 from prioritized_ik.robot import Robot
 from prioritized_ik.solvers.explain import Concession, explain
 from prioritized_ik.solvers.methods import DAMPING, Method
@@ -18,7 +18,7 @@ from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import JointStep
 from prioritized_ik.tasks.task import Task
 from prioritized_ik.tolerances import NOISE
-from prioritized_ik.validation import Array, non_negative, positive
+from prioritized_ik.validation import Array, length, non_negative, positive
 
 Levels = Sequence[Task | Sequence[Task]]
 
@@ -75,17 +75,18 @@ def _guards(robot: Robot, limits: Sequence[Limit], dt: float) -> list[Guarded]:
 
 
 def _problem(robot: Robot, groups: list[list[Task]], guards: Sequence[Guarded], damping: float) -> IKProblem:
-    bounds = Bounds.none(robot.model.nv)
+    bounds: Bounds | None = None
     for guard in guards:
-        bounds = guard.bounds.intersect(bounds) if guard.bounds is not None else bounds
+        if guard.bounds is not None:
+            bounds = guard.bounds if bounds is None else guard.bounds.intersect(bounds)
     fixed = Equalities.joined([guard.equalities for guard in guards if guard.equalities is not None], robot.model.nv)
     recovery = [Level(rows.matrix, rows.upper, name=RECOVERY, kind="at_most") for rows in _joined_recovery(guards)]
-    return IKProblem(
+    return posed_problem(
         [*recovery, *_task_levels(robot, groups, damping, fixed)],
-        bounds,
+        Bounds.none(robot.model.nv) if bounds is None else bounds,
         Rows.joined([guard.rows for guard in guards if guard.rows is not None], robot.model.nv),
-        equalities=fixed,
-        metric=robot.metric,
+        fixed,
+        robot.metric,
     )
 
 
@@ -160,23 +161,30 @@ def _task_levels(robot: Robot, groups: list[list[Task]], damping: float, fixed: 
         if not tasks:
             continue
         rows = [(task, *task.rows(robot)) for task in tasks]
-        matrix = np.vstack([jacobian for _, jacobian, _ in rows])
+        matrix = np.concatenate([jacobian for _, jacobian, _ in rows])
         weights = np.concatenate([task.weights for task in tasks])
-        own = damping * sum(task.lever(robot) * float(np.linalg.norm(task.weights * task.gain * e)) for task, _, e in rows)
-        shared += own
-        last = number == len(groups)  # nobody needs what it leaves
-        counted = np.sqrt(weights[weights > 0.0])[:, None] * (matrix[weights > 0.0] / root)
-        strained = not last and _weakest(counted, left) ** 2 < own
-        yield Level(
+        shared += (own := damping * sum([_strain(robot, task, error) for task, _, error in rows]))
+        strained, last = False, number == len(groups)  # nobody needs what it leaves
+        if not last:
+            counts = weights > 0.0
+            counted = np.sqrt(weights[counts])[:, None] * (matrix[counts] / root)
+            strained = own > 0.0 and _weakest(counted, left) ** 2 < own
+        yield posed_level(
             matrix,
             np.concatenate([task.gain * error for task, _, error in rows]),
             weights,
-            name=" + ".join(task.name for task in tasks),
-            damping=shared if shared > DAMPING else 0.0,
-            below="hold" if last or strained else "free",
+            " + ".join([task.name for task in tasks]),
+            shared if shared > DAMPING else 0.0,
+            "hold" if last or strained else "free",
         )
         if number < len(groups) - 1:
             left = _left_by(counted, left)
+
+
+def _strain(robot: Robot, task: Task, error: Array) -> float:
+    """Return ℓ ‖W e‖ of a task, see `solve_step`."""
+    lever = task.lever(robot)
+    return lever * length(task.weights * (task.gain * error)) if lever else 0.0
 
 
 def _weakest(rows: Array, left: Array | None) -> float:

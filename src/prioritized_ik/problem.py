@@ -214,6 +214,8 @@ class Rows:
         """Return the rows of all `parts` on `m` joints in their order; of two with one name the later is "name (2)"."""
         if not parts:
             return Rows.none(m)
+        if len(parts) == 1:
+            return parts[0]
         return Rows(
             np.vstack([part.matrix for part in parts]),
             np.concatenate([part.upper for part in parts]),
@@ -250,6 +252,8 @@ class Equalities:
         """Return the equalities of all `parts` on `m` joints, named as by `Rows.joined`."""
         if not parts:
             return Equalities.none(m)
+        if len(parts) == 1:
+            return parts[0]
         return Equalities(
             np.vstack([part.matrix for part in parts]),
             np.concatenate([part.target for part in parts]),
@@ -572,12 +576,14 @@ def trusted_problem(levels: tuple[Level, ...], bounds: Bounds | None, rows: Rows
 def posed_level(
     matrix: Array, target: Array, weights: Array, name: str, damping: float = 0.0, below: str = "free"
 ) -> Level:
-    """Return a level of kind `"equal"` of arrays that this package made, of shapes that fit: it looks at numbers alone.
+    """Return a level of kind `"equal"` of arrays that this package made: no copy, and no long look at them.
 
     Raises:
-        InputError: numbers that are not finite or too large, as `Level` says.
+        InputError: what `Level` does not take.
     """
-    if not (np.vdot(matrix, matrix) + np.vdot(target, target) <= LARGEST and math.isfinite(damping)):
+    shaped = matrix.ndim == 2 and target.shape == weights.shape == matrix.shape[:1]
+    sizes = np.vdot(matrix, matrix) + np.vdot(target, target) + np.vdot(weights, weights) if shaped else np.nan
+    if not (sizes <= LARGEST and weights.min(initial=0.0) >= 0.0 and math.isfinite(damping)):
         return Level(matrix, target, weights, name, "equal", damping, below)
     return trusted(
         Level, matrix=matrix, target=target, weights=weights, name=name, kind="equal", damping=damping, below=below
@@ -585,20 +591,28 @@ def posed_level(
 
 
 def posed_bounds(lower: Array, upper: Array, names: tuple[str, ...]) -> Bounds:
-    """Return bounds of arrays that this package made, one a joint of `names`: it looks at numbers alone.
+    """Return bounds of arrays that this package made, one a joint of `names`: no copy, and no long look at them.
 
     Raises:
-        InputError: bounds that no step keeps, or that are no numbers, as `Bounds` says.
+        InputError: what `Bounds` does not take.
     """
-    inside = (lower <= upper) & (lower <= LARGEST) & (upper >= -LARGEST)
-    return trusted(Bounds, lower=lower, upper=upper, names=names) if inside.all() else Bounds(lower, upper, names)
+    if not (np.vdot(lower, lower) + np.vdot(upper, upper) <= LARGEST and (lower <= upper).all()):
+        return Bounds(lower, upper, names)
+    return trusted(Bounds, lower=lower, upper=upper, names=names)
 
 
 def posed_problem(
     levels: Sequence[Level], bounds: Bounds, rows: Rows, equalities: Equalities, metric: Array | None = None
 ) -> IKProblem:
-    """Return a problem with reference zero whose parts fit each other, and whose metric, if given, needs no check."""
-    zeros, ones, _, without, no_equality = _nothing(len(bounds.lower))
+    """Return a problem with reference zero of parts that were checked by themselves, and of a metric that needs no check.
+
+    Raises:
+        InputError: levels of another width, or names that do not differ, as `IKProblem` says.
+    """
+    m = len(bounds.lower)
+    if not all([level.joint_count == m for level in levels]):
+        return IKProblem(levels, bounds, rows, equalities=equalities, metric=metric)  # which says whose
+    zeros, ones, _, without, no_equality = _nothing(m)
     if rows is not without or equalities is not no_equality:
         _check_names(bounds, rows, equalities)
     return trusted(
