@@ -9,10 +9,9 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from comparisons.robot_models import compiled
-from prioritized_ik.limits import joint_names, limited_scalars
+from prioritized_ik.limits import in_succession, joint_names, limited_scalars
 from prioritized_ik.models import update_kinematics
 from prioritized_ik.problem import Bounds, Equalities, Level, Rows
 from prioritized_ik.validation import Array
@@ -192,7 +191,7 @@ class Scene:
         """Return limited joints drawn to the middle of their ranges, each relative to its range."""
         joints, dofs, places = limited_scalars(self.model)
         low, high = self.model.jnt_range[joints].T
-        middle, q, here = 0.5 * (low + high), self.now.qpos, succession(places)
+        middle, q, here = 0.5 * (low + high), self.now.qpos, in_succession(places)
 
         def bind(matrix: Array, target: Array) -> Write:
             matrix[:] = np.eye(self.model.nv)[dofs]
@@ -255,7 +254,7 @@ class Scene:
         low, high = self.model.jnt_range[joints].T.copy()
         q, most, least = self.now.qpos, self.step[dofs], -self.step[dofs]
         lower[:], upper[:] = -self.step, self.step
-        here, limited = succession(places), succession(dofs)
+        here, limited = in_succession(places), in_succession(dofs)
 
         def write() -> None:
             position = q[here]
@@ -305,9 +304,3 @@ def both(*writes: Write) -> Write:
             each()
 
     return write
-
-
-def succession(numbers: NDArray[np.int_]) -> slice | NDArray[np.int_]:
-    """Return whole numbers as a slice where they follow each other, which is faster to look up."""
-    start, count = int(numbers[0]), len(numbers)
-    return slice(start, start + count) if (numbers == np.arange(start, start + count)).all() else numbers

@@ -55,6 +55,8 @@ class Straight:
         if step.dtheta is None or self._is_short(problem, step.dtheta):
             return problem, step
         first = problem.levels[len(problem.levels) - len(self.levels) :]
+        if not self._may_curve(problem, first, step.dtheta):
+            return problem, step
         meant = [_left(level, tasks) for level, tasks in zip(first, self.levels, strict=True)]
         meant_open = self._opened() + problem.equalities.target
         for _ in range(CORRECTIONS):
@@ -81,6 +83,12 @@ class Straight:
         length = max(float(self.robot.model.stat.extent), 1.0)
         return 0.5 * length * float(np.abs(problem.to_metric(dtheta)).sum()) ** 2 <= 0.1 * self.accuracy
 
+    def _may_curve(self, problem: IKProblem, levels: Sequence[Level], dtheta: Array) -> bool:
+        """Whether anything could be taken off: there are equalities, rows that are not exact, or a level is met."""
+        if len(problem.equalities.target) or not all([limit.is_exact for limit, _ in self.limits]):
+            return True
+        return any([_is_met(level, dtheta, self.accuracy) for level in levels])
+
     @cached_property
     def _rooms(self) -> list[dict[str, float]]:
         """What is left of each limit where the robot is."""
@@ -88,6 +96,8 @@ class Straight:
 
     def _opened(self) -> Array:
         """Return how far every equality is open `(e,)`; NaN where its limit does not tell."""
+        if all([guard.equalities is None for _, guard in self.limits]):
+            return np.zeros(0)
         told = [
             (limit.opened(self.robot), guard.equalities) for limit, guard in self.limits if guard.equalities is not None
         ]
@@ -98,11 +108,11 @@ class Straight:
         robot, q, velocity = self.robot, self.robot.q, self.robot.velocity
         try:
             robot.integrate(dtheta, 1.0)
-            ends = [np.concatenate([task.rows(robot)[1] for task in tasks]) for tasks in self.levels]
+            ends = [np.concatenate([task.error(robot) for task in tasks]) for tasks in self.levels]
             after, opened = [limit.room(robot) for limit, _ in self.limits], self._opened()
         finally:
-            robot.data.qvel[:] = velocity
-            robot.update(q)
+            robot.data.qvel[:], robot.data.qpos[:] = velocity, q
+            robot.update()
         if all(room >= -self.accuracy for rooms in after for room in rooms.values()):
             return ends, [{} for _ in after], opened
         return ends, [_broken(room, end, self.accuracy) for room, end in zip(self._rooms, after, strict=True)], opened
@@ -122,7 +132,7 @@ class Straight:
             for level, tasks, more in zip(problem.levels[first:], self.levels, left_out, strict=True)
         ]
         upper = self._tightened(problem, dtheta, broken)
-        drifts = bool((np.abs(opened) > CLOSED * self.accuracy).any())
+        drifts = opened.size > 0 and bool((np.abs(opened) > CLOSED * self.accuracy).any())
         if upper is None and not drifts and all(level is None for level in levels):
             return None
         kept = [new or old for new, old in zip(levels, problem.levels[first:], strict=True)]
@@ -132,6 +142,8 @@ class Straight:
 
     def _tightened(self, problem: IKProblem, dtheta: Array, broken: Sequence[dict[str, float]]) -> Array | None:
         """Return the sides `(r,)` of hard rows, those that the step would break less by how much it would."""
+        if not any(broken):
+            return None
         slack = problem.rows.upper - problem.rows.matrix @ dtheta
         upper, first = problem.rows.upper.copy(), 0
         for (_, guard), excesses in zip(self.limits, broken, strict=True):
@@ -177,13 +189,20 @@ def _left(level: Level, tasks: Sequence[Task]) -> Array:
 
 def _aimed(level: Level, tasks: Sequence[Task], left_out: Array, dtheta: Array, accuracy: float) -> Level | None:
     """Return a level that asks for what the step left out, too; None if it met nothing or left out little."""
+    if not _is_met(level, dtheta, accuracy):
+        return None
     counted = level.weights > 0.0
-    unmet = np.abs(level.target - level.matrix @ dtheta)[counted].max(initial=0.0)
     # An error that is made every step, and of which every step takes a share, adds up to one divided by the other.
     allowed = np.concatenate([np.full(task.size, 0.5 * task.gain * accuracy) for task in tasks])
-    if unmet > accuracy or (np.abs(left_out) <= allowed)[counted].all():
+    if (np.abs(left_out) <= allowed)[counted].all():
         return None
     return replaced(level, target=level.target + left_out)
+
+
+def _is_met(level: Level, dtheta: Array, accuracy: float) -> bool:
+    """Whether a step leaves nothing of what a level asks for, weights of zero aside."""
+    left = np.abs(level.target - level.times(dtheta))
+    return not ((left > accuracy) & (level.weights > 0.0)).any()
 
 
 def _closed(problem: IKProblem, dtheta: Array, opened: Array) -> Equalities:

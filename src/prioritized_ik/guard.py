@@ -62,6 +62,11 @@ class Limit(ABC):
     @abstractmethod
     def _at(self, robot: Robot, dt: float) -> Guarded: ...
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether its rows are, so that `room` has nothing to tell wherever the robot is."""
+        return type(self).room is Limit.room
+
     def room(self, robot: Robot) -> dict[str, float]:
         """Return what is left by name of the hard rows [units of the rows], below zero where they are broken.
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.guard import OUTSIDE, Guarded, Limit, Way
-from prioritized_ik.limits import joint_names, joint_range_bounds
+from prioritized_ik.limits import in_succession, joint_names, joint_range_bounds
 from prioritized_ik.problem import Bounds, Rows, posed_bounds
 from prioritized_ik.robot import Robot
 from prioritized_ik.tolerances import ROUNDING
@@ -16,6 +16,8 @@ from prioritized_ik.validation import Array, finite_array, gain_of, non_negative
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
+
+_UNLIMITED = np.array([[-np.inf], [np.inf]])
 
 #: [rad] A ball joint this far beyond its limit is no error: turns across the limit's gradient leave it by about half the
 #: step's square.
@@ -55,7 +57,8 @@ class JointRange(Limit):
         limited = model.jnt_limited != 0
         self._joints = np.flatnonzero(limited & np.isin(model.jnt_type, (_HINGE, _SLIDE)))
         self._balls = np.flatnonzero(limited & (model.jnt_type == _BALL))
-        self._dofs, self._places = model.jnt_dofadr[self._joints], model.jnt_qposadr[self._joints]
+        self._dofs = in_succession(model.jnt_dofadr[self._joints])
+        self._places = in_succession(model.jnt_qposadr[self._joints])
         low, high = model.jnt_range[self._joints].T
         self._low, self._high = low + self._margin, high - self._margin
         narrow = [*self._joints[self._low > self._high], *self._balls[model.jnt_range[self._balls, 1] < self._margin]]
@@ -72,14 +75,17 @@ class JointRange(Limit):
 
     def _scalars(self, robot: Robot, dt: float) -> tuple[Bounds, Rows | None]:
         model, names, dofs = robot.model, joint_names(robot.model), self._dofs
-        lower, upper = np.full(model.nv, -np.inf), np.full(model.nv, np.inf)
         here = robot.data.qpos[self._places]
         down, up = self._low - here, self._high - here
-        lower[dofs], upper[dofs] = self._gain * np.minimum(down, 0.0), self._gain * np.maximum(up, 0.0)
+        lower, upper = np.full((2, model.nv), _UNLIMITED)
+        lower[dofs], upper[dofs] = np.minimum(down, 0.0), np.maximum(up, 0.0)
+        if self._gain != 1.0:
+            lower[dofs] *= self._gain
+            upper[dofs] *= self._gain
         excess = np.maximum(down, -up)
-        out = np.flatnonzero(excess > ROUNDING)
-        if not out.size:
+        if not excess.max(initial=0.0) > ROUNDING:
             return posed_bounds(lower, upper, names), None
+        out, dofs = np.flatnonzero(excess > ROUNDING), model.jnt_dofadr[self._joints]
         back, low = np.minimum(excess[out], self._speed * dt), down[out] > 0.0
         if self._outside == "require":
             lower[dofs[out[low]]], upper[dofs[out[~low]]] = back[low], -back[~low]
@@ -87,14 +93,19 @@ class JointRange(Limit):
         matrix[np.arange(len(out)), dofs[out]] = np.where(low, -1.0, 1.0)
         return Bounds(lower, upper, names), Rows(matrix, -back, [f"{names[dofs[i]]} return" for i in out])
 
+    @property
+    def is_exact(self) -> bool:
+        """See `Limit.is_exact`: those of ball joints are not."""
+        return not len(self._balls)
+
     def room(self, robot: Robot) -> dict[str, float]:
         """Return how much further each limited ball joint may turn [rad]; the bounds of other joints are exact."""
         return {self._ball_name(robot, joint): room for joint, _, room in self._turns(robot)}
 
     def _ball_rows(self, robot: Robot, dt: float) -> Guarded:
-        turns = self._turns(robot)
-        if not turns:
+        if self.is_exact:
             return Guarded()
+        turns = self._turns(robot)
         matrix = np.zeros((len(turns), robot.model.nv))
         for i, (joint, turn, room) in enumerate(turns):
             dof, angle = robot.model.jnt_dofadr[joint], float(np.linalg.norm(turn))

@@ -44,7 +44,7 @@ def _joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def joint_metric(model: mujoco.MjModel, length: float | None = None) -> Array:
-    """Return a diagonal metric `(m,)`, not to be written, for `IKProblem(metric=…)` in which metres and radians are of one size.
+    """Return a read-only diagonal metric `(m,)` for `IKProblem(metric=…)` in which metres and radians are of one size.
 
     1 for hinges and balls [rad⁻²]; 1 / `length`² for slides and the translation of a free base [m⁻²], so that a slide
     of one `length` weighs as much as a turn of one radian.
@@ -80,6 +80,13 @@ def limited_scalars(model: mujoco.MjModel) -> tuple[NDArray[np.int_], NDArray[np
         by_limited[key] = joints, model.jnt_dofadr[joints], model.jnt_qposadr[joints]
     joints, dofs, places = by_limited[key]
     return joints, dofs, places
+
+
+def in_succession(numbers: NDArray[np.int_]) -> slice | NDArray[np.int_]:
+    """Return whole numbers `(k,)` as a slice where they follow each other, which is faster to look up."""
+    if not numbers.size or (np.diff(numbers) != 1).any():
+        return numbers
+    return slice(int(numbers[0]), int(numbers[-1]) + 1)
 
 
 def joint_range_bounds(model: mujoco.MjModel, q: ArrayLike) -> Bounds:

@@ -53,7 +53,7 @@ def grouped(levels: Levels) -> list[list[Task]]:
     Raises:
         InputError: something that is no task.
     """
-    if not isinstance(levels, Sequence):
+    if not isinstance(levels, list | tuple | Sequence):  # the first two are told faster
         raise InputError(f"levels is {levels!r}; expected a list of tasks, or of lists of tasks, one a level.")
     groups = [[entry] if isinstance(entry, Task) else entry for entry in levels]
     for group in groups:
@@ -215,7 +215,7 @@ def _joined_recovery(guards: Sequence[Guarded]) -> list[Rows]:
 
 
 def _listed(limits: Sequence[Limit]) -> Sequence[Limit]:
-    if not isinstance(limits, Sequence):
+    if not isinstance(limits, list | tuple | Sequence):
         raise InputError(f"limits is {limits!r}; expected a list of limits such as JointRange, Velocity and Collision.")
     return limits
 

@@ -94,8 +94,8 @@ class Robot:
         """Move by `velocity` `(nv,)` [rad/s, m/s] over `dt` [s], and return the new position `(nq,)`."""
         q, moving = self.q, finite_array("velocity", velocity, (self.model.nv,))
         mujoco.mj_integratePos(self.model, q, moving, non_negative("dt", dt))
-        self.data.qvel[:] = moving
-        self.update(q)
+        self.data.qvel[:], self.data.qpos[:] = moving, q
+        self.update()
         return q
 
     def joint(self, which: str | int) -> int:
@@ -197,6 +197,12 @@ class Robot:
         linear, angular = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
         mujoco.mj_jac(self.model, self.data, linear, angular, self.position(frame), self.carrier(frame))
         return linear, angular
+
+    def position_jacobian(self, frame: Frame) -> Array:
+        """Return the Jacobian of a frame's origin `(3, nv)` [m], in the world's axes."""
+        linear = np.zeros((3, self.model.nv))
+        mujoco.mj_jac(self.model, self.data, linear, None, self.position(frame), self.carrier(frame))
+        return linear
 
     def carrier(self, frame: Frame) -> int:
         """Return the number of the body that a frame is fixed to."""

@@ -359,6 +359,49 @@ def test_a_limit_that_is_no_number_is_refused():
         solve_ik(arm(), [], DT, limits=[Broken()])
 
 
+@pytest.mark.parametrize("hashed", [True, False])
+def test_a_limit_whose_matrix_changes_is_looked_at_anew(hashed):
+    class Turning(mink.Limit):
+        matrix = np.eye(1, 7)
+        __hash__ = mink.Limit.__hash__ if hashed else None
+
+        def compute_qp_inequalities(self, configuration, dt):
+            return mink.Constraint(self.matrix, np.array([0.25]))
+
+    limit, configuration = Turning(), arm()
+    assert build_problem(configuration, [], DT, limits=[limit]).bounds.upper[0] == 0.25
+    limit.matrix = -np.eye(1, 7, 2)
+    assert build_problem(configuration, [], DT, limits=[limit]).bounds.lower[2] == -0.25
+    limit.matrix = np.full((1, 7), np.inf)
+    with pytest.raises(InputError, match="Turning has rows that are not finite"):
+        build_problem(configuration, [], DT, limits=[limit])
+
+
+def test_arrays_of_a_users_task_and_limit_stay_theirs():
+    class Kept(OneCoordinate):
+        jacobian = np.eye(1, 7)
+
+        def compute_jacobian(self, configuration):
+            return self.jacobian
+
+    task = Kept()
+    problem = build_problem(arm(), [task], DT)
+    task.jacobian[0, 0] = 2.0
+    assert problem.levels[0].matrix[0, 0] == 1.0
+
+
+@pytest.mark.parametrize(("jacobian", "cost"), [(np.nan, 1.0), (1e200, 1.0), (1.0, np.inf)])
+def test_a_task_that_is_no_number_is_refused_by_name(jacobian, cost):
+    class Odd(OneCoordinate):
+        def compute_jacobian(self, configuration):
+            return jacobian * np.ones((1, 7))
+
+    task = Odd()
+    task.cost = np.array([cost])
+    with pytest.raises(InputError, match="level 'Odd'"):
+        build_problem(arm(), [task], DT)
+
+
 def test_a_hand_is_kept_off_a_post_by_the_row_that_has_their_names():
     configuration = arm((0.5, 0.9, 0.0, 1.2, 0.0, 0.4, 0.0))
     model = configuration.model

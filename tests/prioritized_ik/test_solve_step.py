@@ -301,3 +301,31 @@ BAD = {
 def test_bad_input_is_one_clear_message(ask, message):
     with pytest.raises(InputError, match=message):
         ask(_bent_arm())
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("weights", np.array([1.0, -1.0, 1.0]), r"weights of level 'position of tool'\[1\] is -1.0"),
+        ("gain", np.nan, "target of level 'position of tool'.* is nan"),
+    ],
+)
+def test_what_a_task_was_given_after_it_was_made_is_checked_too(field, value, message):
+    robot = _bent_arm()
+    task = Position(robot, robot.q[:3], site="tool")
+    setattr(task, field, value)
+    with pytest.raises(InputError, match=message):
+        solve_step(robot, [task], [JointRange(robot)], DT)
+
+
+def test_jacobians_of_a_users_task_stay_theirs():
+    robot = _bent_arm()
+
+    class Kept(Position):
+        def _rows(self, robot):
+            self.rows_given = super()._rows(robot)
+            return self.rows_given
+
+    task = Kept(robot, site="tool")
+    solve_step(robot, [task], [], DT)
+    task.rows_given[0][:] = 0.0

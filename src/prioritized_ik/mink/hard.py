@@ -70,12 +70,19 @@ _PATTERNS: weakref.WeakKeyDictionary[mink.Limit, _Pattern] = weakref.WeakKeyDict
 
 
 def _pattern_of(limit: mink.Limit, name: str, matrix: Array) -> _Pattern:
-    known = _PATTERNS.get(limit)
+    try:
+        known = _PATTERNS.get(limit)
+    except TypeError:  # a limit of the user's own that has no hash
+        return _new_pattern(name, matrix)
     if known is None or not known.fits(matrix):
-        if not np.isfinite(matrix).all():
-            raise _not_finite(name)
-        known = _PATTERNS[limit] = _Pattern.of(matrix)
+        known = _PATTERNS[limit] = _new_pattern(name, matrix)
     return known
+
+
+def _new_pattern(name: str, matrix: Array) -> _Pattern:
+    if not np.isfinite(matrix).all():
+        raise _not_finite(name)
+    return _Pattern.of(matrix)
 
 
 @dataclass

@@ -48,7 +48,10 @@ class Pose(FrameTask):
         """Return the larger of half the model's extent and 1."""
         return max(extent_lever(robot), 1.0)
 
-    def _rows(self, robot: Robot) -> tuple[Array, Array]:
+    def error(self, robot: Robot) -> Array:
+        """See `Task.error`."""
         turn = turn_between(self._rotation(robot), self.target[:3, :3])
-        error = np.concatenate([self.target[:3, 3] - self._position(robot), turn])
-        return np.vstack(self._jacobians(robot)), error
+        return np.concatenate([self.target[:3, 3] - self._position(robot), turn])
+
+    def _rows(self, robot: Robot) -> tuple[Array, Array]:
+        return np.concatenate(self._jacobians(robot)), self.error(robot)

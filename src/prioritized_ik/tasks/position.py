@@ -26,5 +26,10 @@ class Position(FrameTask):
         """Return half the model's extent [m]."""
         return extent_lever(robot)
 
+    def error(self, robot: Robot) -> Array:
+        """See `Task.error`."""
+        return self.target - self._position(robot)
+
     def _rows(self, robot: Robot) -> tuple[Array, Array]:
-        return self._jacobians(robot)[0], self.target - self._position(robot)
+        jacobian = robot.position_jacobian(self.frame) if self.root is None else self._jacobians(robot)[0]
+        return jacobian, self.error(robot)

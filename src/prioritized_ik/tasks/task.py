@@ -52,6 +52,10 @@ class Task(ABC):
             raise InputError(f"{self.name} is a task of another model; make it from the robot that it is to move.")
         return self._rows(robot)
 
+    def error(self, robot: Robot) -> Array:
+        """Return e `(k,)` alone."""
+        return self.rows(robot)[1]
+
     def lever(self, robot: Robot) -> float:
         """Return ℓ [row units / rad]: the rows' second derivatives are about ℓ, and zero where the rows are linear in q.
 
