@@ -10,7 +10,8 @@ from scipy.spatial import ConvexHull
 from paper_repro.make.figure import COLOURS
 from prioritized_ik.errors import InputError
 from prioritized_ik.validation import Array
-from prioritized_ik.winding.picture import View, poses
+from prioritized_ik.winding.cameras import View
+from prioritized_ik.winding.picture import poses
 from prioritized_ik.winding.settings import WindingSettings
 
 if TYPE_CHECKING:

@@ -136,8 +136,11 @@ def solve(
 @click.option(
     "--formulation", hidden=True, help="`--solver proxqp --formulation damped` is damped:proxqp; or lifted, slack, dense."
 )
-@click.option("--weights", default="eq23", help="Weights of the arms: eq23 or eq24; or strict, levels in place of weights.")
+@click.option("--weights", default="eq23", help="eq23, eq24, strict: levels, or trailing: the tail of a long arm is free.")
 @click.option("--links", default=17, help="Number of links n.")
+@click.option("--length", type=float, help="Length of the arm [m]; touch goes with its links'.  [default: 0.06 a link]")
+@click.option("--speed", type=float, help="Speed of the driven link's end [m/s].  [default: 2, less for shorter links]")
+@click.option("--radius", "link_radius", default=0.01, help="Radius of the links [m].")
 @click.option(
     "--kinematics", default="auto", help="Solve joint by joint (tree), by matrices (dense), or what is faster (auto)."
 )
@@ -168,6 +171,9 @@ def wind(
     formulation: str | None,
     weights: str,
     links: int,
+    length: float | None,
+    speed: float | None,
+    link_radius: float,
     kinematics: str,
     rank_tolerance: float | None,
     link: int,
@@ -197,7 +203,7 @@ def wind(
     from prioritized_ik.validation import one_of, positive
     from prioritized_ik.winding.episode import wind as run
     from prioritized_ik.winding.metrics import ROUND_SHAPES, measure
-    from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
+    from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings, in_proportion
 
     if scene is None:
         _refuse(OF_OWN_ROBOT, "is of --scene, which is missing: give the file of your robot")
@@ -224,7 +230,7 @@ def wind(
     if solver.startswith(f"{LIFTED}:") and kinematics == "auto":
         kinematics = "tree"  # it takes no matrices, however short the arm
     free = solver == CLOSED_FORM  # the closed form knows no limits
-    control: dict[str, Any] = {
+    control: dict[str, Any] = ({} if speed is None else {"speed": speed}) | {
         "weights": weights,
         "limits": limits and not free,
         "contacts": contacts and not free,
@@ -238,8 +244,9 @@ def wind(
         parts = {"tip": _name_or_number(tip), "wound": _name_or_number(wound)}
         _wind_own_robot(scene, keyframe, {**parts, **control}, save, record, view)
         return
+    link_length = Arm.link_length if length is None else positive("length", length) / max(links, 1)
     settings = WindingSettings(
-        arm=Arm(links=links),
+        arm=Arm(links=links, link_length=link_length, radius=link_radius),
         shape=shape,
         size=(radius,) if shape == "sphere" else (radius, 0.5),
         direction=direction,
@@ -247,7 +254,7 @@ def wind(
         tilt=tilt,
         posture=posture,
         seed=seed,
-        **control,
+        **{**in_proportion(link_length), **control},
     )
     with threadpool_limits(1):  # matrices this small only lose by more
         episode = run(settings)
@@ -269,7 +276,7 @@ def wind(
 
 
 #: Options of `wind` that go with one kind of robot alone.
-OF_PAPERS_ARM = ("direction", "links", "link", "shape", "diameter", "tilt", "posture", "seed")
+OF_PAPERS_ARM = ("direction", "links", "length", "link_radius", "link", "shape", "diameter", "tilt", "posture", "seed")
 OF_OWN_ROBOT = ("wound", "tip", "keyframe")
 FRAMES = 60  # of a film of one's own robot
 
@@ -282,7 +289,7 @@ def _refuse(names: tuple[str, ...], why: str) -> None:
     context = click.get_current_context()
     given = [name for name in names if context.get_parameter_source(name) is not ParameterSource.DEFAULT]
     if given:
-        option = "object" if given[0] == "wound" else given[0]
+        option = {"wound": "object", "link_radius": "radius"}.get(given[0], given[0])
         raise InputError(f"--{option} {why}.")
 
 

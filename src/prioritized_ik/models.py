@@ -5,14 +5,18 @@ The arm starts at the origin and lies along +x when every joint is zero.
 """
 
 import copy
+import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
+from pathlib import Path
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from prioritized_ik.errors import ModelError
+from prioritized_ik.model_cache import cached_model
 from prioritized_ik.validation import Array, at_least, finite_array, non_negative, one_of, positive
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -30,6 +34,7 @@ SHAPES = {
 }
 
 POSTURES = ("straight", "arched", "random")
+LONG = 150  # links from which on a compiled model is kept on disk: compiling takes 0.1 s there
 ARCH = 0.03  # bend of each link about z and y in the arched posture [rad]
 SMALL_BEND = 0.05  # standard deviation of each joint in the random posture [rad]
 
@@ -220,7 +225,7 @@ class WindingObject:
 
 
 def arm_model(arm: Arm) -> mujoco.MjModel:
-    """Return the compiled model of an arm alone, compiled once: that takes as long as the cube of its links."""
+    """Return the compiled model of an arm alone, compiled once; a long one once a user, see `model_cache`."""
     return copy.copy(_arm_model(arm))
 
 
@@ -231,14 +236,29 @@ def winding_model(arm: Arm, wound: WindingObject) -> mujoco.MjModel:
 
 @lru_cache(maxsize=8)
 def _arm_model(arm: Arm) -> mujoco.MjModel:
-    return arm.spec().compile()
+    return _compiled(arm, "alone", arm.spec)
 
 
 @lru_cache(maxsize=8)
 def _winding_model(arm: Arm, shape: str, size: tuple[float, ...], position: bytes, rotation: bytes) -> mujoco.MjModel:
-    spec = arm.spec()
-    WindingObject(shape, size, np.frombuffer(position), np.frombuffer(rotation).reshape(3, 3)).add_to(spec)
-    return spec.compile()
+    def spec() -> mujoco.MjSpec:
+        whole = arm.spec()
+        WindingObject(shape, size, np.frombuffer(position), np.frombuffer(rotation).reshape(3, 3)).add_to(whole)
+        return whole
+
+    return _compiled(arm, f"{shape} {size} {position.hex()} {rotation.hex()}", spec)
+
+
+def _compiled(arm: Arm, beside: str, spec: Callable[[], mujoco.MjSpec]) -> mujoco.MjModel:
+    if arm.links < LONG:
+        return spec().compile()
+    return cached_model(f"{_source()}\n{arm}\n{beside}", lambda: spec().compile())
+
+
+@cache
+def _source() -> str:
+    """Return a digest of this module, which decides what its models are like."""
+    return hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 
 def update_kinematics(model: mujoco.MjModel, data: mujoco.MjData, q: ArrayLike) -> None:

@@ -11,7 +11,12 @@ NEXT = 20.0  # arm k + 1, which is to make contact next
 FREE = {"eq23": 0.01, "eq24": 1.0}  # arms k + 2 … n
 
 STRICT = "strict"  # the same three groups of arms as levels in strict order, and all weights 1
-KINDS = (*FREE, STRICT)
+KINDS = (*FREE, STRICT)  # those of the paper, and what it says of priorities
+
+#: Nothing is asked of arms k + 2 … n, which trail behind: not in the paper, whose free arms are held where they are. A long
+#: tail that is held folds up beside the object; one that trails winds, however many links it has.
+TRAILING = "trailing"
+ALL_KINDS = (*KINDS, TRAILING)
 
 
 def diagonal_of_weights(arm_weights: ArrayLike, dimension: int) -> Array:
@@ -34,15 +39,17 @@ def diagonal_of_weights(arm_weights: ArrayLike, dimension: int) -> Array:
 def winding_weights(last_in_contact: int, links: int, kind: str = "eq23") -> Array:
     """Return one weight an arm `(n,)`: Eq. (23), for `kind="eq24"` Eq. (24), for `kind="strict"` ones.
 
+    For `kind="trailing"` those of Eq. (23), and zero for arms k + 2 … n.
+
     Args:
         last_in_contact: k, the last of the links in successive contact, from 1; 0 where no link is.
         links: number of links n.
-        kind: one of `KINDS`.
+        kind: one of `ALL_KINDS`.
     """
     groups = _groups(last_in_contact, links)
-    if one_of("weights", kind, KINDS) == STRICT:
+    if one_of("weights", kind, ALL_KINDS) == STRICT:
         return np.ones(len(groups))
-    return np.array([WOUND, NEXT, FREE[kind]])[groups]
+    return np.array([WOUND, NEXT, FREE.get(kind, 0.0)])[groups]
 
 
 def winding_priorities(last_in_contact: int, links: int, kind: str = STRICT) -> NDArray[np.int64]:
@@ -57,10 +64,10 @@ def winding_priorities(last_in_contact: int, links: int, kind: str = STRICT) -> 
     Args:
         last_in_contact: see `winding_weights`.
         links: number of links n.
-        kind: one of `KINDS`.
+        kind: one of `ALL_KINDS`.
     """
     groups = _groups(last_in_contact, links)
-    if one_of("weights", kind, KINDS) != STRICT:
+    if one_of("weights", kind, ALL_KINDS) != STRICT:
         return np.zeros_like(groups)
     return np.unique(groups, return_inverse=True)[1]
 

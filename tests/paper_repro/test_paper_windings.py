@@ -38,8 +38,8 @@ from prioritized_ik.models import DIRECTIONS, Arm
 from prioritized_ik.solvers.closed_form import minimum_norm_solution, rank_decomposition_svd, weighted_optimum
 from prioritized_ik.solvers.hierarchy import strict_solution
 from prioritized_ik.solvers.step import StepStatus
+from prioritized_ik.winding.cameras import View
 from prioritized_ik.winding.episode import wind
-from prioritized_ik.winding.picture import View
 
 SMALL = Scale("full", seeds=3, steps=1, directions=("up", "front"), solvers=None)
 GOOD = {

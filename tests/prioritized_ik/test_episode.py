@@ -1,14 +1,21 @@
 import os
 from dataclasses import fields, replace
+from functools import cache
 
 import numpy as np
 import pytest
 from winding_fixtures import AS_RECORDED, By, recorded, short_episode
 
 from prioritized_ik.errors import EpisodeFileError, InputError, SolverUnavailableError
+from prioritized_ik.models import Arm
+from prioritized_ik.problem_file import problem_bytes
+from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.step import JointStep, StepStatus
+from prioritized_ik.tree_problem import tree_of
+from prioritized_ik.winding.controller import WindingController
 from prioritized_ik.winding.episode import FORMAT, Episode, Outcome, replay, wind
+from prioritized_ik.winding.loop import moments
 from prioritized_ik.winding.settings import CLOSED_FORM, WindingSettings
 
 ARRAYS = [item.name for item in fields(Episode) if item.name not in ("settings", "outcome", "message")]
@@ -19,6 +26,13 @@ def differing(a: Episode, b: Episode, names: list[str]) -> list[str]:
     """Names of the arrays whose type, shape or bits differ."""
     pairs = [(name, getattr(a, name), getattr(b, name)) for name in names]
     return [n for n, x, y in pairs if (x.dtype, x.shape, x.tobytes()) != (y.dtype, y.shape, y.tobytes())]
+
+
+@cache
+def on_tree(weights: str = "eq23", links: int = 9) -> Episode:
+    options = SolveOptions(kinematics="tree", rank_tolerance=0.0)
+    arm = Arm(links=links)
+    return wind(WindingSettings(arm=arm, link=4, posture="random", weights=weights, options=options, max_steps=12))
 
 
 @pytest.fixture
@@ -50,6 +64,40 @@ def test_every_problem_of_a_loaded_episode_solves_to_the_recorded_bits(saved):
     backend = get_method("daqp")
     for step, problem in enumerate(loaded.problems()):
         assert backend.step(problem, AS_RECORDED).dtheta.tobytes() == loaded.dtheta[step].tobytes()
+
+
+@pytest.mark.parametrize("weights", ["eq23", "strict", "trailing"])
+def test_problems_on_the_tree_are_read_as_they_were_posed_without_any_matrix(weights, tmp_path):
+    episode = on_tree(weights)
+    episode.save(tmp_path / "episode.npz")
+    loaded = Episode.load(tmp_path / "episode.npz")
+    assert differing(loaded, episode, ARRAYS) == []
+    seen = []
+    settings = episode.settings
+    for moment in moments(WindingController(settings), get_method("active-set"), settings.initial_posture()):
+        seen.append(moment)
+    assert len(seen) == loaded.steps + 1
+    for posed, read in zip((moment.problem for moment in seen[:-1]), loaded.problems(), strict=True):
+        assert tree_of(read) is not None
+        assert problem_bytes(read) == problem_bytes(posed)
+        assert "matrix" not in vars(read.levels[0])
+
+
+def test_an_episode_on_the_tree_grows_with_its_links_and_one_of_matrices_with_their_square():
+    def numbers(links: int, kinematics: str) -> int:
+        options = SolveOptions(kinematics=kinematics)
+        episode = wind(WindingSettings(arm=Arm(links=links), link=4, posture="random", options=options, max_steps=1))
+        return sum(getattr(episode, name).size for name in ARRAYS)
+
+    assert numbers(16, "tree") < 2.1 * numbers(8, "tree")
+    assert numbers(16, "dense") > 3.0 * numbers(8, "dense")
+
+
+def test_steps_of_arms_that_trail_keep_their_levels_in_a_file_with_matrices_too(tmp_path):
+    episode = wind(WindingSettings(weights="trailing", max_steps=5))
+    episode.save(tmp_path / "episode.npz")
+    problem = Episode.load(tmp_path / "episode.npz").problem(0)
+    assert [len(level.target) for level in problem.levels] == [3 * 7]  # arms 1 … 6, and the next
 
 
 def test_the_steps_add_up_to_the_joint_positions():
@@ -174,7 +222,8 @@ def test_a_missing_entry_is_refused(name, saved):
 
 @pytest.mark.parametrize("name", ARRAYS)
 def test_an_array_of_another_shape_is_refused_by_name(name, saved):
-    rewritten(saved, **{name: getattr(short_episode(), name)[1:]})
+    value = getattr(short_episode(), name)
+    rewritten(saved, **{name: value[1:] if len(value) else np.zeros((1, *value.shape[1:]))})
     # A shorter dθ changes T itself, so that every other array has the wrong length.
     with pytest.raises(EpisodeFileError, match="has shape" if name == "dtheta" else f"{name} has shape"):
         Episode.load(saved)

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from trees import random_problem, random_tree
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.problem_file import load_problem, problem_bytes, save_problem
+from prioritized_ik.tree_problem import tree_of
 
 
 @pytest.fixture
@@ -53,6 +55,20 @@ def test_a_metric_that_couples_joints_is_read_too(tmp_path: Path) -> None:
     coupled = IKProblem([], reference=[0.1, 0.2], metric=[[2.0, 0.5], [0.5, 1.0]])
     save_problem(coupled, tmp_path / "problem.npz")
     assert content(load_problem(tmp_path / "problem.npz")) == content(coupled)
+
+
+@pytest.mark.parametrize("contacts", [0, 2])
+def test_a_problem_on_a_kinematic_tree_keeps_it_and_makes_no_matrix(contacts: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    posed = random_problem(rng, random_tree(rng, 9, branching=0.3), 2, contacts=contacts)
+    save_problem(posed, tmp_path / "problem.npz")
+    read = load_problem(tmp_path / "problem.npz")
+    for one in (posed, read):
+        assert tree_of(one) is not None
+        assert not any("matrix" in vars(level) for level in one.levels)
+    assert content(read) == content(posed)
+    for name in ("parents", "angular", "linear", "anchors"):
+        np.testing.assert_array_equal(getattr(tree_of(read), name), getattr(tree_of(posed), name))
 
 
 def test_the_file_holds_no_pickle(problem: IKProblem) -> None:

@@ -54,7 +54,13 @@ def test_arms_of_a_strict_level_weigh_the_same() -> None:
     assert winding_weights(3, 6, "strict").tolist() == [1.0] * 6
 
 
-@pytest.mark.parametrize("kind", ["eq23", "eq24"])
+@pytest.mark.parametrize("last", range(5))
+def test_trailing_arms_are_those_that_eq23_holds_and_weigh_nothing(last: int) -> None:
+    held = winding_weights(last, 4) == 0.01
+    assert winding_weights(last, 4, "trailing").tolist() == np.where(held, 0.0, winding_weights(last, 4)).tolist()
+
+
+@pytest.mark.parametrize("kind", ["eq23", "eq24", "trailing"])
 def test_weights_leave_every_arm_in_one_level(kind: str) -> None:
     assert winding_priorities(3, 6, kind).tolist() == [0] * 6
 
@@ -105,9 +111,9 @@ def test_a_dimension_below_one_is_refused() -> None:
 
 
 def test_an_unknown_kind_of_weights_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(InputError, match="unknown weights 'eq25'; choose one of: eq23, eq24, strict"):
+    with pytest.raises(InputError, match="unknown weights 'eq25'; choose one of: eq23, eq24, strict, trailing"):
         winding_weights(3, 6, "eq25")
-    with pytest.raises(InputError, match="unknown weights 'eq25'; choose one of: eq23, eq24, strict"):
+    with pytest.raises(InputError, match="unknown weights 'eq25'; choose one of: eq23, eq24, strict, trailing"):
         winding_priorities(3, 6, "eq25")
 
 

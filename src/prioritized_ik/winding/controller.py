@@ -226,8 +226,10 @@ class ChainController:
         """Return each level's rows where k is the last link in contact."""
         if k not in self._groups:
             n, kind = self.chain.count, self.settings.weights
-            weights = diagonal_of_weights(winding_weights(k, n, kind), AXES)
-            self._groups[k] = row_groups(weights, np.repeat(winding_priorities(k, n, kind), AXES))
+            each, priorities = winding_weights(k, n, kind), winding_priorities(k, n, kind)
+            asked = np.count_nonzero(each)  # the first ones
+            weights = diagonal_of_weights(each[:asked], AXES)
+            self._groups[k] = row_groups(weights, np.repeat(priorities[:asked], AXES))
         return self._groups[k]
 
 

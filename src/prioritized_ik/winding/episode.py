@@ -14,18 +14,21 @@ from numpy.typing import NDArray
 
 from prioritized_ik.errors import EpisodeFileError, InputError
 from prioritized_ik.files import UNREADABLE, advising, write_whole
+from prioritized_ik.kinematic_tree import KinematicTree, PointRows
 from prioritized_ik.limits import contact_row_name
 from prioritized_ik.problem import Bounds, IKProblem, Level, Rows
 from prioritized_ik.solvers.methods import Method
 from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.step import JointStep, StepStatus
+from prioritized_ik.tree_problem import TreeLevel, TreeRows, tree_of
 from prioritized_ik.validation import Array, read_only
-from prioritized_ik.winding.controller import WindingController, levels_of
+from prioritized_ik.winding.controller import WindingController, levels_of, row_groups
 from prioritized_ik.winding.loop import Outcome as Outcome
 from prioritized_ik.winding.loop import moments
+from prioritized_ik.winding.on_tree import AXES, level_on_tree
 from prioritized_ik.winding.settings import WindingSettings
 
-FORMAT = "prioritized-ik episode 4"
+FORMAT = "prioritized-ik episode 5"
 
 
 @dataclass(frozen=True)
@@ -44,12 +47,14 @@ class Episode:
         contact_vectors: c `(T + 1, n, 3)`.
         signs: s of Eq. (21) `(T + 1, n)`.
         desired: dX_v* `(T, L)` [m].
-        jacobian: J `(T, L, m)`.
-        weights: diagonal of W `(T, L)`.
+        jacobian: J `(T, L, m)`; `(0, L, m)` where problems are on the kinematic tree.
+        weights: diagonal of W `(T, L)`; zero at the end for arms that nothing is asked of, see `weights.TRAILING`.
         priorities: the number of each row's level `(T, L)`, from 0, the most important; levels are whole runs of rows.
         lower, upper: bounds on dθ `(T, m)` [rad], infinite where there is none.
-        row_matrix: contact rows by link `(T, n, m)`.
+        row_matrix: contact rows by link `(T, n, m)`; `(0, n, m)` on the tree.
         row_upper: their right sides `(T, n)` [m], infinite where a link has no row.
+        axes, anchors: of the joints, unit vectors and `[m]` `(T, m, 3)`, on the tree in place of J; else `(0, m, 3)`.
+        row_points, row_directions: of contact rows by link, in place of `row_matrix`, likewise `(T, n, 3)` or `(0, n, 3)`.
         dtheta: the steps `(T, m)` [rad]; NaN where the solver failed.
         status: names of `StepStatus` `(T,)`.
         solve_seconds, build_seconds: see `Timings` `(T,)`.
@@ -73,6 +78,10 @@ class Episode:
     upper: Array
     row_matrix: Array
     row_upper: Array
+    axes: Array
+    anchors: Array
+    row_points: Array
+    row_directions: Array
     dtheta: Array
     status: NDArray[np.str_]
     solve_seconds: Array
@@ -91,14 +100,22 @@ class Episode:
         """
         if not 0 <= step < self.steps:
             raise InputError(f"step is {step}; expected 0 to {self.steps - 1}.")
-        levels = levels_of(self.jacobian[step], self.desired[step], self.weights[step], self.priorities[step])
         links = np.flatnonzero(np.isfinite(self.row_upper[step]))
-        rows = Rows(
-            self.row_matrix[step, links],
-            self.row_upper[step, links],
-            tuple(contact_row_name(int(link) + 1) for link in links),
-        )
-        return IKProblem(levels, Bounds(self.lower[step], self.upper[step], self._joint_names), rows)
+        sides, names = self.row_upper[step, links], tuple(contact_row_name(int(link) + 1) for link in links)
+        bounds = Bounds(self.lower[step], self.upper[step], self._joint_names)
+        if not self.is_on_tree:
+            asked = self._asked(step)
+            jacobian, desired = self.jacobian[step, asked], self.desired[step, asked]
+            levels = levels_of(jacobian, desired, self.weights[step, asked], self.priorities[step, asked])
+            return IKProblem(levels, bounds, Rows(self.row_matrix[step, links], sides, names))
+        points, carriers = self._end_points(step)
+        touching = PointRows(points.tree, carriers[links], self.row_points[step, links], self.row_directions[step, links])
+        return IKProblem(self._levels_on_tree(step, points), bounds, TreeRows(touching, sides, names))
+
+    @property
+    def is_on_tree(self) -> bool:
+        """Whether problems are on the kinematic tree: what is recorded of a step is linear in the links then."""
+        return self.steps > 0 and not len(self.jacobian)
 
     def problems(self, steps: Iterator[int] | range | None = None) -> Iterator[IKProblem]:
         """Yield the problems of `steps`, of all unless given."""
@@ -148,6 +165,25 @@ class Episode:
             ) from error
         return episode
 
+    def _end_points(self, step: int) -> tuple[PointRows, NDArray[np.int_]]:
+        """Return the rows of J of a step, and the last joint that moves each link `(n,)`."""
+        arm = self.settings.arm
+        carriers = np.cumsum([len(arm.hinge_axes(link)) for link in arm.link_numbers]) - 1
+        axes = self.axes[step]
+        tree = KinematicTree(np.arange(len(axes)) - 1, axes, np.zeros_like(axes), self.anchors[step])
+        return PointRows.along_axes(tree, carriers, self.positions[step], AXES), carriers
+
+    def _levels_on_tree(self, step: int, points: PointRows) -> list[TreeLevel]:
+        desired, asked = self.desired[step], self._asked(step)
+        return [
+            level_on_tree(points, group.rows, desired, group.weights, group.name)
+            for group in row_groups(self.weights[step, asked], self.priorities[step, asked])
+        ]
+
+    def _asked(self, step: int) -> slice:
+        """Return which rows of J the levels of a step have."""
+        return slice(0, int(np.count_nonzero(self.weights[step])))
+
     @property
     def _joint_names(self) -> tuple[str, ...]:
         arm = self.settings.arm
@@ -155,12 +191,15 @@ class Episode:
 
     def _check(self) -> None:
         t, n, m = self.steps, self.settings.arm.links, self.settings.arm.joint_count
+        dense, on_tree = (0, t) if self.is_on_tree else (t, 0)
         expected = {
             "q": (t + 1, m), "positions": (t + 1, n, 3), "directions": (t + 1, n, 3), "distance": (t + 1, n),
             "in_contact": (t + 1, n), "contact_vectors": (t + 1, n, 3), "signs": (t + 1, n),
-            "desired": (t, 3 * n), "jacobian": (t, 3 * n, m), "weights": (t, 3 * n),
-            "priorities": (t, 3 * n), "lower": (t, m), "upper": (t, m), "row_matrix": (t, n, m), "row_upper": (t, n),
-            "dtheta": (t, m), "status": (t,), "solve_seconds": (t,), "build_seconds": (t,),
+            "desired": (t, 3 * n), "jacobian": (dense, 3 * n, m), "weights": (t, 3 * n),
+            "priorities": (t, 3 * n), "lower": (t, m), "upper": (t, m), "row_matrix": (dense, n, m), "row_upper": (t, n),
+            "axes": (on_tree, m, 3), "anchors": (on_tree, m, 3), "row_points": (on_tree, n, 3),
+            "row_directions": (on_tree, n, 3), "dtheta": (t, m), "status": (t,),
+            "solve_seconds": (t,), "build_seconds": (t,),
         }  # fmt: skip
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
@@ -214,8 +253,10 @@ def wind(
     arrays = {name: read_only(np.array([state[name] for state in states])) for name in states[0]}
     # An episode may have no step; the pattern of one gives its empty arrays their shapes.
     pattern = _record(IKProblem([Level(np.zeros((3 * n, m)), np.zeros(3 * n))]), JointStep(None, StepStatus.SOLVED), n)
+    pattern |= {"axes": np.zeros((m, 3)), "anchors": np.zeros((m, 3))}
+    pattern |= {"row_points": np.zeros((n, 3)), "row_directions": np.zeros((n, 3))}
     for name, value in pattern.items():
-        column = [step[name] for step in steps]
+        column = [step[name] for step in steps if name in step]
         arrays[name] = read_only(np.array(column) if column else np.array([value])[:0])
     return Episode(settings, outcome, message, **arrays)
 
@@ -226,23 +267,44 @@ def replay(episode: Episode) -> Episode:
 
 
 def _record(problem: IKProblem, step: JointStep, links: int) -> dict[str, Any]:
-    levels, m = problem.levels, problem.joint_count
-    matrix, upper = np.zeros((links, m)), np.full(links, np.inf)
+    levels, m, size = problem.levels, problem.joint_count, 3 * links
+    upper = np.full(links, np.inf)
     place = {contact_row_name(link + 1): link for link in range(links)}
-    for name, row, side in zip(problem.rows.names, problem.rows.matrix, problem.rows.upper, strict=True):
-        link = place[name]
-        matrix[link], upper[link] = row, side
-    return {
-        "desired": np.concatenate([level.target for level in levels]),
-        "jacobian": np.vstack([level.matrix for level in levels]),
-        "weights": np.concatenate([level.weights for level in levels]),
-        "priorities": np.repeat(np.arange(len(levels)), [len(level.target) for level in levels]),
+    priorities = np.repeat(np.arange(len(levels)), [len(level.target) for level in levels])
+    near = [place[name] for name in problem.rows.names]
+    upper[near] = problem.rows.upper
+    tree = tree_of(problem)
+    posed = _matrices(problem, near, links) if tree is None else _on_tree(problem, tree, near, links)
+    return posed | {
+        "desired": _padded(np.concatenate([level.target for level in levels]), size),
+        "weights": _padded(np.concatenate([level.weights for level in levels]), size),
+        "priorities": np.pad(priorities, (0, size - len(priorities)), mode="edge"),
         "lower": problem.bounds.lower,
         "upper": problem.bounds.upper,
-        "row_matrix": matrix,
         "row_upper": upper,
         "dtheta": np.full(m, np.nan) if step.dtheta is None else step.dtheta,
         "status": step.status.name,
         "solve_seconds": step.timings.solve,
         "build_seconds": step.timings.build,
     }
+
+
+def _matrices(problem: IKProblem, near: list[int], links: int) -> dict[str, Any]:
+    """Return J and the contact rows of the links `near`."""
+    matrix = np.zeros((links, problem.joint_count))
+    matrix[near] = problem.rows.matrix
+    jacobian = _padded(np.vstack([level.matrix for level in problem.levels]), 3 * links)
+    return {"jacobian": jacobian, "row_matrix": matrix}
+
+
+def _padded(values: Array, size: int) -> Array:
+    """Return `values` with zeros after them, `size` in all."""
+    return np.concatenate([values, np.zeros((size - len(values), *values.shape[1:]))])
+
+
+def _on_tree(problem: IKProblem, tree: KinematicTree, near: list[int], links: int) -> dict[str, Any]:
+    """Return what is known in their place on a tree."""
+    points, directions = np.zeros((2, links, 3))
+    if isinstance(problem.rows, TreeRows):
+        points[near], directions[near] = problem.rows.points.points, problem.rows.points.directions
+    return {"axes": tree.angular, "anchors": tree.anchors, "row_points": points, "row_directions": directions}

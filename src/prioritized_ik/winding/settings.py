@@ -23,11 +23,17 @@ from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.methods import ClosedForm
 from prioritized_ik.solvers.registry import DEFAULT
 from prioritized_ik.validation import Array, at_least, non_negative, one_of, positive
-from prioritized_ik.weights import KINDS
+from prioritized_ik.weights import ALL_KINDS
 from prioritized_ik.winding.chain import Chain
 from prioritized_ik.winding.plan import DEAD_BAND
 
 CLOSED_FORM = ClosedForm.name
+
+
+def in_proportion(link_length: float) -> dict[str, float]:
+    """Return speed, distances of touch and gap for links of another length [m] than the paper's, in proportion."""
+    names = ("speed", "contact_distance", "release_distance", "min_distance", "gap")
+    return {name: link_length / Arm.link_length * getattr(WindingSettings, name) for name in names}
 
 
 @dataclass(frozen=True)
@@ -35,7 +41,7 @@ class Control:
     """How to wind, whatever winds around whatever. Where the paper states nothing, the default is a choice of this project.
 
     Attributes:
-        weights: `"eq23"`, `"eq24"`, or `"strict"`: levels in place of weights.
+        weights: `"eq23"`, `"eq24"`, `"strict"`: levels in place of weights, or `"trailing"`: see `weights.TRAILING`.
         speed: η = 2 [m/s].
         dt: time step [s] (not stated).
         dead_band: of Eq. (21), see `plan.DEAD_BAND`.
@@ -68,7 +74,7 @@ class Control:
     options: SolveOptions = field(default_factory=lambda: SolveOptions(rank_tolerance=RANK_TOLERANCE))
 
     def __post_init__(self) -> None:
-        one_of("weights", self.weights, KINDS)
+        one_of("weights", self.weights, ALL_KINDS)
         for name in ("speed", "dt", "contact_distance", "release_distance", "max_step"):
             positive(name, getattr(self, name))
         for name in ("dead_band", "min_distance"):
@@ -141,9 +147,9 @@ class WindingSettings(Control):
 
     def wound_object(self) -> WindingObject:
         """Return the object at its place, touching the middle of `link` in the initial posture."""
-        model = arm_model(self.arm)
+        model = arm_model(dataclasses.replace(self.arm, links=self.link + 1))  # links beyond do not move that one
         data = mujoco.MjData(model)
-        update_kinematics(model, data, self.initial_posture())
+        update_kinematics(model, data, self.initial_posture()[: model.nq])
         link = data.body(f"link_{self.link}")
         along = link.xmat.reshape(3, 3)[:, 0].copy()
         middle = link.xpos + 0.5 * self.arm.link_length * along
