@@ -17,7 +17,7 @@ ROOT = Path(prioritized_ik.__file__).parent
 LAYERS = [
     {"errors", "tolerances", "late"},
     {"validation", "files", "rendering", "extras"},
-    {"pictures", "processes", "kinematic_tree"},
+    {"pictures", "processes", "kinematic_tree", "model_cache"},
     {"models", "jacobians", "model_tree"},
     {"virtual_arms"},
     {"touch", "problem", "weights"},
