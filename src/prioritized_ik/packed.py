@@ -50,12 +50,13 @@ class Layout:
     def __init__(self, pattern: IKProblem) -> None:
         self.pattern = pattern
         self.levels = _in_succession([len(level.target) for level in pattern.levels])
-        self._shapes = [part.shape for part in Parts.of(pattern)]
-        self._places = _in_succession([part.size for part in Parts.of(pattern)])
+        self._pattern_parts = parts = Parts.of(pattern)
+        self._shapes = [part.shape for part in parts]
+        self._places = _in_succession([part.size for part in parts])
 
     def packed(self) -> Array:
         """Return the numbers of the pattern in one array."""
-        return np.concatenate([part.ravel() for part in Parts.of(self.pattern)])
+        return np.concatenate([part.ravel() for part in self._pattern_parts])
 
     def parts(self, numbers: Array) -> Parts:
         """Return views of an array of numbers."""

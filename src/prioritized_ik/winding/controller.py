@@ -21,6 +21,7 @@ from prioritized_ik.winding.plan import driven_arms, first_and_last_in_contact, 
 from prioritized_ik.winding.settings import Control, WindingSettings
 
 AXES = 3  # rows of one virtual arm: x, y, z
+KEPT = 64  # kinds of problems, by which links are near: of an arm that creeps on, the oldest do not come back
 
 
 class Equilibrium(Enum):
@@ -172,6 +173,8 @@ class ChainController:
             return self._assembled(*self._posed(q, situation), situation.last)
         key = near, situation.last
         if key not in self._packed:
+            if len(self._packed) >= KEPT:
+                del self._packed[next(iter(self._packed))]
             groups = self._groups_after(situation.last)
             self._packed[key] = look.packed(
                 self._assembled(*look.posed(near), situation.last), [group.rows for group in groups]
