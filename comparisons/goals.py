@@ -1,29 +1,28 @@
 """A robot at a configuration, and what its user may ask of it: levels and limits whose numbers are written in place.
 
-A goal is bound to arrays once, and then writes what it is at the scene's present state as often as that changes: into those
-of a new problem, or of one that lives.
+A goal is bound to arrays once, and a `Posing` then writes what it is at the scene's present state as often as that changes:
+into those of a new problem, or of one that lives.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import mujoco
 import numpy as np
 
 from comparisons.robot_models import compiled
-from prioritized_ik.limits import in_succession, joint_names, limited_scalars
+from prioritized_ik.limits import joint_names, limited_scalars
 from prioritized_ik.models import update_kinematics
+from prioritized_ik.posing import Posing
 from prioritized_ik.problem import Bounds, Equalities, Level, Rows
+from prioritized_ik.robot import Frame
 from prioritized_ik.validation import Array
 
 AT_LIMIT = 0.15  # of a configuration's joints stand at a limit
 NEAR_LIMIT = 0.15  # and as many nearer to one than a step is long
 REACH = (-1.5, 0.7)  # [decades] how far targets are away, in longest steps
 EASE = 0.02  # of the way to the middle of its range is what a posture asks of a joint
-
-ACROSS = (slice(1, 3), slice(0, 3, 2), slice(0, 2))  # the other two axes
-
-Write = Callable[[], object]
 
 
 @dataclass(frozen=True)
@@ -33,34 +32,36 @@ class Goal:
     Attributes:
         name: what a level is called; rows get it with their number.
         rows: k.
-        bind: returns what writes matrix `(k, m)` and target `(k,)` at the scene's present state.
+        bind: tells a `Posing` what to write to matrix `(k, m)` and target `(k,)`.
         weights: of a level's rows `(k,)`; ones unless given.
         kind: of a level.
     """
 
     name: str
     rows: int
-    bind: Callable[[Array, Array], Write]
+    bind: Callable[[Posing, Array, Array], object]
     weights: Array | None = None
     kind: str = "equal"
 
-    def numbers(self, m: int) -> tuple[Array, Array]:
+    def numbers(self, scene: "Scene") -> tuple[Array, Array]:
         """Return matrix `(k, m)` and target `(k,)` now."""
-        matrix, target = np.zeros((self.rows, m)), np.zeros(self.rows)
-        self.bind(matrix, target)()
+        matrix, target = np.zeros((self.rows, scene.model.nv)), np.zeros(self.rows)
+        posing = scene.posing()
+        self.bind(posing, matrix, target)
+        posing.by_python()
         return matrix, target
 
-    def level(self, m: int) -> Level:
+    def level(self, scene: "Scene") -> Level:
         """Return them as a level."""
-        return Level(*self.numbers(m), self.weights, self.name, self.kind)
+        return Level(*self.numbers(scene), self.weights, self.name, self.kind)
 
-    def row(self, m: int) -> Rows:
+    def row(self, scene: "Scene") -> Rows:
         """Return them as hard rows."""
-        return Rows(*self.numbers(m), [self.name])
+        return Rows(*self.numbers(scene), [self.name])
 
-    def equality(self, m: int) -> Equalities:
+    def equality(self, scene: "Scene") -> Equalities:
         """Return them as hard equalities."""
-        return Equalities(*self.numbers(m), [self.name])
+        return Equalities(*self.numbers(scene), [self.name])
 
 
 @dataclass(frozen=True)
@@ -112,95 +113,73 @@ class Scene:
         update_kinematics(model, wanted, other)
         return Scene(model, now, wanted, step)
 
+    def posing(self) -> Posing:
+        """Return what writes goals at the present state; nothing yet."""
+        return Posing(self.model, self.now)
+
+    def site(self, name: str) -> Frame:
+        """Return the frame of a site."""
+        return Frame("site", self.model.site(name).id, name)
+
     # Levels.
 
     def position(self, site: str) -> Goal:
         """Return a site's wanted position [m]."""
-        return Goal(f"position of {site}", 3, lambda matrix, target: self._moving(site, matrix, target))
+        return Goal(f"position of {site}", 3, partial(self._moving, site))
 
     def orientation(self, site: str) -> Goal:
         """Return a site's wanted orientation [rad]."""
-        return Goal(f"orientation of {site}", 3, lambda matrix, target: self._turning(site, matrix, target))
+        return Goal(f"orientation of {site}", 3, partial(self._turning, site))
 
     def pointing(self, site: str, axis: int) -> Goal:
         """Return where an axis of a site is to point: two rows, for its turn about itself is free."""
-        across = self._axes(site)[0].T[ACROSS[axis]]
-
-        def bind(matrix: Array, target: Array) -> Write:
-            rotation, turn = np.zeros((3, self.model.nv)), np.zeros(3)
-            turning = self._turning(site, rotation, turn)
-
-            def write() -> None:
-                turning()
-                np.matmul(across, rotation, matrix)
-                np.matmul(across, turn, target)
-
-            return write
-
-        return Goal(f"pointing of {site}", 2, bind)
+        across = np.delete(np.eye(3), axis, axis=0)
+        return Goal(f"pointing of {site}", 2, partial(self._turning, site, across=across))
 
     def pose(self, site: str, weights: Array) -> Goal:
         """Return a site's wanted position [m] and orientation [rad], in one."""
 
-        def bind(matrix: Array, target: Array) -> Write:
-            return both(self._moving(site, matrix[:3], target[:3]), self._turning(site, matrix[3:], target[3:]))
+        def bind(posing: Posing, matrix: Array, target: Array) -> None:
+            self._moving(site, posing, matrix[:3], target[:3])
+            self._turning(site, posing, matrix[3:], target[3:])
 
         return Goal(f"pose of {site}", 6, bind, weights)
 
     def positions(self, sites: Sequence[str], name: str) -> Goal:
         """Return several sites' wanted positions [m]."""
-        places = [slice(3 * i, 3 * i + 3) for i in range(len(sites))]
 
-        def bind(matrix: Array, target: Array) -> Write:
-            return both(*(self._moving(site, matrix[rows], target[rows]) for site, rows in zip(sites, places, strict=True)))
+        def bind(posing: Posing, matrix: Array, target: Array) -> None:
+            for i, site in enumerate(sites):
+                self._moving(site, posing, matrix[3 * i : 3 * i + 3], target[3 * i : 3 * i + 3])
 
         return Goal(name, 3 * len(sites), bind)
 
     def stay(self, sites: Iterable[str], name: str) -> Goal:
         """Return that sites are not to move or turn."""
-        numbers = [self.model.site(site).id for site in sites]
+        frames = [self.site(site) for site in sites]
 
-        def bind(matrix: Array, target: Array) -> Write:
-            target[:] = 0.0
-            halves = [
-                (number, matrix[6 * i : 6 * i + 3], matrix[6 * i + 3 : 6 * i + 6]) for i, number in enumerate(numbers)
-            ]
+        def bind(posing: Posing, matrix: Array, target: Array) -> None:
+            for i, frame in enumerate(frames):
+                half, last = slice(6 * i, 6 * i + 3), slice(6 * i + 3, 6 * i + 6)
+                posing.position(frame, None, matrix[half], target[half])
+                posing.orientation(frame, None, matrix[last], target[last])
 
-            def write() -> None:
-                for number, position, rotation in halves:
-                    mujoco.mj_jacSite(self.model, self.now, position, rotation, number)
-
-            return write
-
-        return Goal(name, 6 * len(numbers), bind)
+        return Goal(name, 6 * len(frames), bind)
 
     def centre_of_mass(self) -> Goal:
         """Return the wanted centre of mass [m]."""
-        here, there = self.now.subtree_com[0], self.wanted.subtree_com[0]
-
-        def bind(matrix: Array, target: Array) -> Write:
-            def write() -> None:
-                mujoco.mj_jacSubtreeCom(self.model, self.now, matrix, 0)
-                np.subtract(there, here, target)
-
-            return write
-
-        return Goal("centre of mass", 3, bind)
+        there = self.wanted.subtree_com[0]
+        return Goal("centre of mass", 3, lambda posing, matrix, target: posing.centre_of_mass(0, there, matrix, target))
 
     def posture(self) -> Goal:
         """Return limited joints drawn to the middle of their ranges, each relative to its range."""
         joints, dofs, places = limited_scalars(self.model)
         low, high = self.model.jnt_range[joints].T
-        middle, q, here = 0.5 * (low + high), self.now.qpos, in_succession(places)
+        middle = 0.5 * (low + high)
 
-        def bind(matrix: Array, target: Array) -> Write:
+        def bind(posing: Posing, matrix: Array, target: Array) -> None:
             matrix[:] = np.eye(self.model.nv)[dofs]
-
-            def write() -> None:
-                np.subtract(middle, q[here], target)
-                np.multiply(EASE, target, target)
-
-            return write
+            posing.joints(places, middle, target, EASE)
 
         return Goal("posture", len(joints), bind, (high - low) ** -2)
 
@@ -209,7 +188,7 @@ class Scene:
         numbers = [self.model.site(foot).id for foot in feet]
         places, mass = self.now.site_xpos, self.now.subtree_com[0][:2]
 
-        def bind(matrix: Array, target: Array) -> Write:
+        def bind(posing: Posing, matrix: Array, target: Array) -> None:
             jacobian = np.zeros((3, self.model.nv))
 
             def write() -> None:
@@ -220,7 +199,7 @@ class Scene:
                 target[:2] = standing.max(axis=0) + margin - mass
                 target[2:] = mass - standing.min(axis=0) + margin
 
-            return write
+            posing.also(write)
 
         return Goal("balance", 4, bind, kind="at_most")
 
@@ -228,79 +207,32 @@ class Scene:
 
     def above(self, site: str, height: float) -> Goal:
         """Return the row that keeps a site above a `height` [m], or from sinking where it is below."""
-        number, place = self.model.site(site).id, self.now.site_xpos[self.model.site(site).id]
+        frame, ground, down = self.site(site), np.array([0.0, 0.0, height]), [[0.0, 0.0, -1.0]]
 
-        def bind(matrix: Array, target: Array) -> Write:
-            jacobian = np.zeros((3, self.model.nv))
-
-            def write() -> None:
-                mujoco.mj_jacSite(self.model, self.now, jacobian, None, number)
-                np.negative(jacobian[2], matrix[0])
-                target[0] = max(place[2] - height, 0.0)
-
-            return write
+        def bind(posing: Posing, matrix: Array, target: Array) -> None:
+            posing.position(frame, ground, matrix, target, across=down, floored=True)
 
         return Goal(f"{site} above the ground", 1, bind)
 
     def bounds(self) -> Bounds:
         """Return the joints' ranges and longest steps."""
         lower, upper = np.empty(self.model.nv), np.empty(self.model.nv)
-        self.bind_bounds(lower, upper)()
+        posing = self.posing()
+        posing.bounds(lower, upper, self.step)
+        posing.by_python()
         return Bounds(lower, upper, joint_names(self.model))
-
-    def bind_bounds(self, lower: Array, upper: Array) -> Write:
-        """Return what writes the bounds `(m,)`, as `limits.joint_range_bounds` within the longest steps."""
-        joints, dofs, places = limited_scalars(self.model)
-        low, high = self.model.jnt_range[joints].T.copy()
-        q, most, least = self.now.qpos, self.step[dofs], -self.step[dofs]
-        lower[:], upper[:] = -self.step, self.step
-        here, limited = in_succession(places), in_succession(dofs)
-
-        def write() -> None:
-            position = q[here]
-            lower[limited] = np.maximum(np.minimum(low - position, 0.0), least)
-            upper[limited] = np.minimum(np.maximum(high - position, 0.0), most)
-
-        return write
 
     # Parts of them.
 
-    def _axes(self, site: str) -> tuple[Array, Array]:
-        """Return a site's rotation matrices now and wanted, `(3, 3)` each, which follow the states."""
-        number = self.model.site(site).id
-        return self.now.site_xmat[number].reshape(3, 3), self.wanted.site_xmat[number].reshape(3, 3)
+    def _moving(self, site: str, posing: Posing, matrix: Array, target: Array) -> None:
+        """Have the Jacobian of a site's position written, and the way to where it is wanted."""
+        frame = self.site(site)
+        posing.position(frame, self.wanted.site_xpos[frame.number], matrix, target)
 
-    def _moving(self, site: str, matrix: Array, target: Array) -> Write:
-        """Return what writes the Jacobian of a site's position, and the way to where it is wanted."""
-        model, now, number = self.model, self.now, self.model.site(site).id
-        here, there = now.site_xpos[number], self.wanted.site_xpos[number]
+    def _turning(self, site: str, posing: Posing, matrix: Array, target: Array, across: Array | None = None) -> None:
+        """Have the Jacobian of a site's orientation written, and the turn to the wanted one as a vector.
 
-        def write() -> None:
-            mujoco.mj_jacSite(model, now, matrix, None, number)
-            np.subtract(there, here, target)
-
-        return write
-
-    def _turning(self, site: str, matrix: Array, target: Array) -> Write:
-        """Return what writes the Jacobian of a site's orientation, and the turn to the wanted one as a vector."""
-        model, now, number = self.model, self.now, self.model.site(site).id
-        (here, there), quaternion, turn = self._axes(site), np.empty(4), np.empty((3, 3))
-        back, flat = here.T, turn.reshape(-1)
-
-        def write() -> None:
-            mujoco.mj_jacSite(model, now, None, matrix, number)
-            np.matmul(there, back, turn)
-            mujoco.mju_mat2Quat(quaternion, flat)
-            mujoco.mju_quat2Vel(target, quaternion, 1.0)
-
-        return write
-
-
-def both(*writes: Write) -> Write:
-    """Return what writes all of them."""
-
-    def write() -> None:
-        for each in writes:
-            each()
-
-    return write
+        `across`: of it only what is about these of the site's own axes `(k, 3)`.
+        """
+        frame = self.site(site)
+        posing.orientation(frame, self.wanted.site_xmat[frame.number], matrix, target, across=across, own_axes=True)

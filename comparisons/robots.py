@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from comparisons.goals import Goal, Scene, Write
+from comparisons.goals import Goal, Scene
 from comparisons.robot_models import ARM_7, GANTRY, HUMANOID, INDUSTRIAL_6, MOBILE_ARM, SCARA
 from prioritized_ik.live import LiveProblem
+from prioritized_ik.posing import Posing
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.validation import Array
 
@@ -45,12 +46,11 @@ class Robot:
 
     def problem(self, scene: Scene, levels: int | None = None) -> IKProblem:
         """Return the problem of a scene's next step, with the first `levels` only if given."""
-        m = scene.model.nv
         return IKProblem(
-            [level(scene).level(m) for level in self.levels[:levels]],
+            [level(scene).level(scene) for level in self.levels[:levels]],
             scene.bounds(),
-            None if self.row is None else self.row(scene).row(m),
-            equalities=None if self.equality is None else self.equality(scene).equality(m),
+            None if self.row is None else self.row(scene).row(scene),
+            equalities=None if self.equality is None else self.equality(scene).equality(scene),
         )
 
     def live(self, scene: Scene, problem: IKProblem) -> Callable[[], IKProblem]:
@@ -58,21 +58,20 @@ class Robot:
 
         The problem's levels are the first ones of the robot, or those with their rows parted further.
         """
-        live, writes, start = LiveProblem(problem), [], 0
+        live, posing, start = LiveProblem(problem), scene.posing(), 0
         matrix, target = live.matrix(), live.target()
         for goal in [level(scene) for level in self.levels]:
             if start < len(target):
                 rows = slice(start, start := start + goal.rows)
-                writes.append(goal.bind(matrix[rows], target[rows]))
-        writes.append(scene.bind_bounds(live.lower, live.upper))
+                goal.bind(posing, matrix[rows], target[rows])
+        posing.bounds(live.lower, live.upper, scene.step)
         if self.row is not None:
-            writes.append(self.row(scene).bind(live.row_matrix, live.row_upper))
+            self.row(scene).bind(posing, live.row_matrix, live.row_upper)
         if self.equality is not None:
-            writes.append(self.equality(scene).bind(live.equality_matrix, live.equality_target))
+            self.equality(scene).bind(posing, live.equality_matrix, live.equality_target)
 
         def posed() -> IKProblem:
-            for write in writes:
-                write()
+            posing()
             return live.frozen()
 
         return posed
@@ -81,9 +80,8 @@ class Robot:
 def base_at_rest(scene: Scene) -> Goal:
     """Return that a base of two slides and a hinge is not to move."""
 
-    def bind(matrix: Array, target: Array) -> Write:
+    def bind(posing: Posing, matrix: Array, target: Array) -> None:
         matrix[:], target[:] = np.eye(scene.model.nv)[:3], 0.0
-        return lambda: None
 
     return Goal("base at rest", 3, bind, np.array([1.0, 1.0, 0.25]))
 
@@ -92,14 +90,14 @@ def no_slip(scene: Scene) -> Goal:
     """Return that wheels do not slip sideways."""
     q = scene.now.qpos
 
-    def bind(matrix: Array, target: Array) -> Write:
+    def bind(posing: Posing, matrix: Array, target: Array) -> None:
         matrix[:], target[:] = 0.0, 0.0
 
         def write() -> None:
             heading = float(q[2])
             matrix[0, 0], matrix[0, 1] = -math.sin(heading), math.cos(heading)
 
-        return write
+        posing.also(write)
 
     return Goal("no slip", 1, bind)
 

@@ -39,6 +39,7 @@ from .problem_file import load_problem as load_problem
 from .problem_file import save_problem as save_problem
 from .recording import Recording as Recording
 from .live import LiveProblem as LiveProblem
+from .posing import Posing as Posing
 from .touch import TouchSensor as TouchSensor
 from .limits import contact_rows as contact_rows
 from .limits import joint_metric as joint_metric

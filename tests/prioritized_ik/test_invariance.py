@@ -232,5 +232,5 @@ def test_a_short_way_is_what_the_jacobians_say(seed, monkeypatch):
     way = np.empty(scene.model.nv)
     mujoco.mj_differentiatePos(scene.model, way, 1.0, scene.now.qpos, scene.wanted.qpos)
     for goal in (scene.position("left hand"), scene.orientation("right hand"), scene.centre_of_mass()):
-        level = goal.level(scene.model.nv)
+        level = goal.level(scene)
         assert level.matrix @ way == pytest.approx(level.target, abs=1e-3 * np.linalg.norm(level.target))

@@ -7,8 +7,6 @@ or MuJoCo's library cannot be had, the Python form goes on alone.
 import ctypes
 import warnings
 from collections.abc import Sequence
-from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
@@ -19,6 +17,7 @@ from prioritized_ik.limits import OUTSIDE, contact_row_name, joint_names, limite
 from prioritized_ik.packed import Layout, PackedProblem
 from prioritized_ik.problem import Bounds, IKProblem, Rows, trusted
 from prioritized_ik.solvers.compiled.library import library
+from prioritized_ik.solvers.compiled.mujoco_functions import mujoco_functions
 from prioritized_ik.touch import TouchSensor
 from prioritized_ik.validation import LARGEST, Array
 from prioritized_ik.virtual_arms import VirtualArms
@@ -33,6 +32,8 @@ _BOXED = [
         *(mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH),
     )
 ]  # kinds of geoms that the model knows a box around
+
+_FUNCTIONS = ("kinematics", "com_pos", "geom_distance")  # of MuJoCo's
 
 _VECTORS = ("positions", "directions", "normal", "point", "contact_vectors", "desired")  # (n, 3) each
 _NUMBERS = ("distance", "signs")  # (n,) each
@@ -163,7 +164,7 @@ class CompiledLook:
             largest=LARGEST,
             model=model._address,
             data=data._address,
-            **functions,
+            **{name: functions[name] for name in _FUNCTIONS},
             **{name: array.ctypes.data for name, array in kept.items()},
         )
         self._at = ctypes.byref(self._scene)
@@ -264,19 +265,3 @@ def same_look(one: Any, other: Any) -> bool:
     message = f"the compiled look at the arm is {apart:.1e} off the Python form's, which is used; please report it"
     warnings.warn(message, RuntimeWarning, stacklevel=2)
     return False
-
-
-@cache
-def mujoco_functions() -> dict[str, Any] | None:
-    """Return the addresses of MuJoCo's functions that the core calls, None where its library is not found."""
-    folder = Path(mujoco.__file__).parent
-    for path in sorted([*folder.glob("libmujoco*.so*"), *folder.glob("libmujoco*.dylib")]):
-        try:
-            found = ctypes.CDLL(str(path))
-            if found.mj_version() != mujoco.mj_version():
-                continue
-            named = {"kinematics": found.mj_kinematics, "com_pos": found.mj_comPos, "geom_distance": found.mj_geomDistance}
-        except (OSError, AttributeError):
-            continue
-        return {name: ctypes.cast(function, ctypes.c_void_p).value for name, function in named.items()}
-    return None

@@ -7,6 +7,7 @@
     step.hpp       the course of a call, on layers: posed.hpp (the problem in its metric), factored.hpp (one factorisation
                    for all levels), face.hpp (the step where some rows hold), certificate.hpp, written.hpp, active_set.hpp
     packed.hpp     problems that are handed over as one array, see ../../packed.py
+    posing.hpp     rows of robots written where they are, see ../../posing.py
     dense.hpp      the linear algebra beneath; with singular_values.hpp and nonnegative.hpp
     tree.hpp       the elimination along a kinematic tree, for tree.py, see solvers/tree; on tree_stages.hpp (its stages),
                    tree_frame.hpp (what a level decides) and tree_level.hpp (its triangle)

@@ -6,6 +6,7 @@
 #endif
 
 #include "packed.hpp"
+#include "posing.hpp"
 #include "step.hpp"
 #include "tree.hpp"
 #include "winding.hpp"
@@ -97,6 +98,10 @@ EXPORTED int core_scene_size() { return int(sizeof(prioritized_ik::Scene)); }
 // `Look::Answer`, or the number of contact rows.
 EXPORTED int core_scene_observe(const prioritized_ik::Scene* scene) { return prioritized_ik::Look(*scene).observe(); }
 EXPORTED int core_scene_pose(const prioritized_ik::Scene* scene) { return prioritized_ik::Look(*scene).pose(); }
+
+EXPORTED int core_posing_size() { return int(sizeof(prioritized_ik::Posing)); }
+EXPORTED int core_posed_rows_size() { return int(sizeof(prioritized_ik::PosedRows)); }
+EXPORTED void core_pose(const prioritized_ik::Posing* posing) { prioritized_ik::Poser(*posing).write(); }
 
 // ---- Kinematic trees, for compiled/tree.py. Every function but these two returns -1 if memory runs out.
 

@@ -121,6 +121,7 @@ def _loaded(path: Path, expected: str) -> tuple[ctypes.CDLL | None, str]:
     core.core_solve.argtypes = [ctypes.c_void_p] + [ctypes.c_int] * 5
     for look in (core.core_scene_observe, core.core_scene_pose):
         look.argtypes = [ctypes.c_void_p]
+    core.core_pose.argtypes, core.core_pose.restype = [ctypes.c_void_p], None
     core.core_tree_new.restype = ctypes.c_void_p
     core.core_tree_delete.argtypes = [ctypes.c_void_p]
     core.core_tree_delete.restype = None

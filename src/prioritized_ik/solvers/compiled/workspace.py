@@ -133,6 +133,10 @@ class Workspace:
         self.settings[0] = rank_tolerance
         self.settings[1] = problem.noise
 
+    def is_of(self, layout: Layout) -> bool:
+        """Whether the pattern of problems of a layout is filled in."""
+        return layout is self._layout
+
     def take(self, layout: Layout, sizes: Sizes) -> None:
         """Fill in the pattern of problems of a layout, unless it is there."""
         if layout is not self._layout:
@@ -214,6 +218,7 @@ class _Own(threading.local):
     def __init__(self) -> None:
         self.by_joints: dict[int, Workspace] = {}
         self.sizes: weakref.WeakKeyDictionary[Layout, Sizes] = weakref.WeakKeyDictionary()
+        self.last: tuple[Workspace, Sizes] | None = None
 
 
 _OWN = _Own()
@@ -229,9 +234,12 @@ def workspace_for(sizes: Sizes) -> Workspace:
 
 def workspace_of(layout: Layout) -> tuple[Workspace, Sizes]:
     """Return this thread's workspace for problems of a layout, their pattern filled in, and their sizes."""
+    if _OWN.last is not None and _OWN.last[0].is_of(layout):
+        return _OWN.last
     sizes = _OWN.sizes.get(layout)
     if sizes is None:
         sizes = _OWN.sizes[layout] = Sizes.of(layout.pattern)
     workspace = workspace_for(sizes)
     workspace.take(layout, sizes)
-    return workspace, sizes
+    _OWN.last = workspace, sizes
+    return _OWN.last
