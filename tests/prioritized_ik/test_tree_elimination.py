@@ -4,12 +4,14 @@ from trees import ball_chain, random_problem, random_tree, rotation
 
 from prioritized_ik.kinematic_tree import KinematicTree, PointRows
 from prioritized_ik.problem import IKProblem
+from prioritized_ik.solvers.compiled import tree as compiled_tree
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.solvers.compiled.tree import CompiledElimination
 from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.tree.active_set import Search
 from prioritized_ik.solvers.tree.certificate import ActiveSet
-from prioritized_ik.solvers.tree.elimination import Elimination, Ending
+from prioritized_ik.solvers.tree.elimination import Elimination
+from prioritized_ik.solvers.tree.factors import Ending
 from prioritized_ik.solvers.tree.posed import PosedOnTree
 from prioritized_ik.tree_problem import TreeRows
 
@@ -167,7 +169,9 @@ def test_arms_that_are_nearly_straight_are_as_exact_as_others(form, bend, turned
 
 
 @compiled
-def test_memory_grows_with_the_links_and_no_faster():
+def test_memory_grows_with_the_links_and_no_faster(monkeypatch):
+    monkeypatch.setattr(compiled_tree, "_idle", [])
+    monkeypatch.setattr(compiled_tree, "MOST_IDLE", 0)
     held = []
     for links in (100, 200, 400):
         rng = np.random.default_rng(3)

@@ -14,7 +14,8 @@ from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.step import JointStep, StepStatus
 from prioritized_ik.solvers.tree.active_set import Search
 from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
-from prioritized_ik.solvers.tree.elimination import HELD
+from prioritized_ik.solvers.tree.elimination import Elimination
+from prioritized_ik.solvers.tree.factors import HELD
 from prioritized_ik.solvers.tree.posed import PosedOnTree
 from prioritized_ik.solvers.tree.step import PATH
 
@@ -234,29 +235,43 @@ def test_a_broken_row_is_not_proven(proven):
     assert not proven.holds(posed=PosedOnTree(IKProblem(problem.levels, problem.bounds, rows)))
 
 
-class _Lying:
-    """Factors that tell a lie about multipliers."""
+class _Lying(Elimination):
+    """Factors that tell a lie about a level's multipliers; about none if it is None."""
 
-    def __init__(self, factors, level: int) -> None:
-        self._factors, self._level = factors, level
-
-    def __getattr__(self, name):
-        return getattr(self._factors, name)
+    lie: int | None = None
 
     def pulls(self, level, whitened):
-        return self._factors.pulls(level, whitened) * (1.0 + 1e-4 * (level == self._level))
+        return super().pulls(level, whitened) * (1.0 + 1e-4 * (level == self.lie))
 
 
 @pytest.mark.parametrize("level", [HELD, 1, 2])
 def test_multipliers_that_are_not_right_leave_a_rest_that_the_figures_show(proven, level):
     held = np.zeros(len(proven.posed.level), dtype=bool)
     held[proven.posed.parts[0]] = proven.active.held
-    proven.factors.factor(proven.active.side != 0, held)
-    honest = TreeProof(proven.posed, proven.factors, proven.u, proven.active, proven.scale)
-    lying = TreeProof(proven.posed, _Lying(proven.factors, level), proven.u, proven.active, proven.scale)
+    factors = _Lying(proven.posed.on_joints)
+    factors.factor(proven.active.side != 0, held)
+    honest = TreeProof(proven.posed, factors, proven.u, proven.active, proven.scale)
+    factors.lie = level
+    lying = TreeProof(proven.posed, factors, proven.u, proven.active, proven.scale)
     assert honest.holds_with_margin
     assert not lying.holds_with_margin
     assert max(one.excess / other.excess for one, other in zip(lying.levels, honest.levels, strict=True)) > 1e3
+
+
+def test_both_forms_prove_alike(proven):
+    held = np.zeros(len(proven.posed.level), dtype=bool)
+    held[proven.posed.parts[0]] = proven.active.held
+    nudged = proven.u.copy()
+    nudged[np.flatnonzero(proven.active.side == 0)[3]] += 1e-5
+    proofs = []
+    for form in (Elimination(proven.posed.on_joints), proven.factors):
+        form.factor(proven.active.side != 0, held)
+        proofs.append(TreeProof(proven.posed, form, nudged, proven.active, proven.scale))
+    for one, other in zip(*(proof.levels for proof in proofs), strict=True):
+        np.testing.assert_allclose([one.gap, one.excess], [other.gap, other.excess], rtol=1e-4, atol=1e-14)
+        np.testing.assert_allclose(one.bounds, other.bounds, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(one.rows, other.rows, rtol=1e-6, atol=1e-12)
+        assert 0.3 < one.rounding / other.rounding < 3.0
 
 
 def test_the_certificate_names_the_rows_that_hold_a_level():

@@ -151,6 +151,18 @@ EXPORTED int core_tree_ask(prioritized_ik::TreeElimination* tree, int question, 
     }
 }
 
+// Writes `TreeElimination::Balance` to figures (6).
+EXPORTED int core_tree_balance(prioritized_ik::TreeElimination* tree, int level, int is_held, double rounded, const double* given,
+                               const double* sizes, double* off, double* rest, double* pulls, double* of_bounds, double* figures) {
+    try {
+        const auto found = tree->balance(level, given, sizes, rounded, is_held != 0, off, rest, pulls, of_bounds);
+        std::memcpy(figures, &found, sizeof found);
+        return 0;
+    } catch (const std::bad_alloc&) {
+        return -1;
+    }
+}
+
 // -2 if memory runs out, as -1 is an answer.
 EXPORTED int core_tree_count_below(prioritized_ik::TreeElimination* tree, int level, double tau) {
     try {

@@ -129,6 +129,7 @@ def _loaded(path: Path, expected: str) -> tuple[ctypes.CDLL | None, str]:
     core.core_tree_factor.argtypes = [ctypes.c_void_p]
     core.core_tree_solve.argtypes = [ctypes.c_void_p] * 5
     core.core_tree_ask.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]
+    core.core_tree_balance.argtypes = [ctypes.c_void_p] + [ctypes.c_int] * 2 + [ctypes.c_double] + [ctypes.c_void_p] * 7
     core.core_tree_count_below.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_double]
     core.core_tree_memory.argtypes = [ctypes.c_void_p]
     core.core_tree_memory.restype = ctypes.c_double

@@ -74,17 +74,19 @@ class TreeElimination {
         else join(used_.back(), nullptr, parts_.data() + inputs_ - left_, u);
     }
 
-    // out := a gradient (m) in the coordinates of each level, then of what all leave.
-    void parts(const double* gradient, double* out) {
+    // out := a gradient (m) in the coordinates of each level, then of what all leave; of a last level only, returns where it is.
+    const double* parts(const double* gradient, double* out, int last = -1) {
         inputs_of(gradient);
         for (int number : used_) {
             Level& level = levels_[number];
             f_.resize(level.inputs - level.rank);
             level.split(z_.data(), out, f_.data());
+            if (number == last) return out;
             out += level.rank;
             z_.swap(f_);
         }
         copy(z_.data(), out, left_);
+        return out;
     }
 
     void whitened(int number, const double* part, double* out) {
@@ -102,6 +104,96 @@ class TreeElimination {
         e_.resize(levels_[number].rank);
         levels_[number].solve(whitened, e_.data());
         join(number, e_.data(), nullptr, u);
+    }
+
+    // What `Factors.balance` returns, but for arrays.
+    struct Balance {
+        double lower, moved, astray, noise, feigned, of_rows;
+    };
+
+    // See `Factors.balance`: given (k) or (m), sizes (k) or (m), off (m) in and out, rest (m), pulls (k), of_bounds (m).
+    Balance balance(int number, const double* given, const double* sizes, double rounded, bool is_held, double* off, double* rest,
+                    double* values, double* of_bounds) {
+        const int m = in_.joints, k = in_.rows;
+        const bool is_last = number > in_.levels;
+        Balance out{};
+        if (is_last) copy(given, rest, m);
+        else torques(number, given, -1.0, rest);
+        clear(values, k);
+        pulls_.resize(k), noise_.resize(m), blur_.resize(m), parts_.resize(inputs_ + 1), white_.resize(inputs_ + 1);
+        for (size_t i = used_.size(); i-- > 0;) {
+            const int above = used_[i];
+            if (above >= number || !in_.ranks[above]) continue;
+            const double* own = parts(rest, parts_.data(), above);
+            levels_[above].whiten(own, white_.data());
+            levels_[above].pulls(white_.data(), pulls_.data());
+            for (int row : levels_[above].sorted) values[row] = pulls_[row] = -pulls_[row];
+            torques(above, pulls_.data(), 1.0, rest, true);
+        }
+        parts(rest, parts_.data());
+        const double* own = parts_.data();
+        int rank = left_;
+        if (is_last) own += inputs_ - left_;
+        else {
+            for (int above = 0; above < number; above++) own += in_.ranks[above];
+            rank = in_.ranks[number];
+        }
+        const double mine = dot(own, own, rank);
+        out.astray = 0.0;
+        for (int i = 0; i < inputs_; i++)
+            if (parts_.data() + i < own || parts_.data() + i >= own + rank) out.astray += parts_[i] * parts_[i];
+        out.astray = sqrt(out.astray);
+        if (is_last) {
+            out.lower = mine;
+            out.moved = sqrt(mine);
+            copy(off, blur_.data(), m);
+        } else {
+            whitened(number, own, white_.data());
+            out.lower = dot(white_.data(), white_.data(), rank);
+            displacement(number, white_.data(), blur_.data());
+            out.moved = norm(blur_.data(), m);
+            for (int j = 0; j < m; j++) off[j] += blur_[j];
+            stages_.twists(off, twists_);
+            for (int row : levels_[number].sorted)
+                pulls_[row] = in_.roots[row] * product(in_.given + size_t(TWIST) * row, twist_of(row));
+            torques(number, pulls_.data(), 1.0, blur_.data());
+        }
+        for (int i = 0; i < k; i++) pulls_[i] = abs(values[i]) + (is_last ? 0.0 : sizes[i]);
+        sizes_of_torques(pulls_.data(), noise_.data());
+        for (int j = 0; j < m; j++) noise_[j] = rounded * (noise_[j] + (is_last ? sizes[j] : 0.0));
+        out.noise = norm(noise_.data(), m);
+        if (!is_last && rank) {
+            step_.resize(m);
+            for (int j = 0; j < m; j++) step_[j] = (j * 7919 % 13 < 6 ? 1.0 : -1.0) * noise_[j];
+            levels_[number].whiten(parts(step_.data(), parts_.data(), number), white_.data());
+            displacement(number, white_.data(), step_.data());
+            out.feigned = norm(step_.data(), m);
+        }
+        for (int j = 0; j < m; j++) noise_[j] += abs(blur_[j]);
+        if (is_last) out.feigned = norm(noise_.data(), m);
+        copy(noise_.data(), of_bounds, m);
+        if (!is_held) return out;
+        for (int j = 0; j < m; j++) step_[j] = blur_[j] < 0.0 ? -noise_[j] : noise_[j];
+        std::fill(pulls_.begin(), pulls_.end(), 0.0);
+        parts(step_.data(), parts_.data());
+        own = parts_.data();
+        for (int above : used_) {
+            if (above >= number) break;
+            if (in_.ranks[above]) {
+                levels_[above].whiten(own, white_.data());
+                levels_[above].pulls(white_.data(), pulls_.data());
+                const std::vector<int>& rows = levels_[above].sorted;
+                double square = 0.0;
+                for (int row : rows) square += pulls_[row] * pulls_[row];
+                for (int row : rows) pulls_[row] = abs(pulls_[row]) + sqrt(square / double(rows.size()));
+            }
+            own += in_.ranks[above];
+        }
+        for (int i = 0; i < k; i++)
+            if (in_.row_levels[i] == 0) out.of_rows = max(out.of_rows, pulls_[i]);
+        sizes_of_torques(pulls_.data(), noise_.data());
+        for (int j = 0; j < m; j++) of_bounds[j] += noise_[j];
+        return out;
     }
 
     int count_below(int number, double tau) const {
@@ -124,11 +216,64 @@ class TreeElimination {
             std::stable_sort(level.sorted.begin(), level.sorted.end(), before);
     }
 
+    const double* twist_of(int row) const { return twists_.data() + size_t(TWIST) * stages_.of_joint[in_.row_joints[row]]; }
+
+    // out (m) := factor times the torques of a level's weighted rows times values (k), or added to it
+    void torques(int number, const double* values, double factor, double* out, bool added = false) {
+        wrenches_.assign(stages_.all.size() * TWIST, 0.0);
+        for (int row : levels_[number].sorted) {
+            const double value = factor * in_.roots[row] * values[row], *c = in_.given + size_t(TWIST) * row;
+            double* to = wrenches_.data() + size_t(TWIST) * stages_.of_joint[in_.row_joints[row]];
+            for (int i = 0; i < TWIST; i++) to[i] += value * c[i];
+        }
+        for (size_t n = stages_.all.size(); n-- > 0;) {
+            const Stage& stage = stages_.all[n];
+            const double* wrench = wrenches_.data() + n * TWIST;
+            for (int i = 0; i < stage.count; i++) {
+                const double torque = product(wrench, stages_.axis(stage, i));
+                double& to = out[stages_.joints[stage.joints + i]];
+                to = added ? to + torque : torque;
+            }
+            if (stage.before == BASE) continue;
+            double moved[TWIST], *before = wrenches_.data() + size_t(TWIST) * stage.before;
+            move_row(wrench, stage.arm, moved);
+            for (int i = 0; i < TWIST; i++) before[i] += moved[i];
+        }
+    }
+
+    // out (m) := the sum of the sizes of all terms of the torques of all weighted rows times values (k)
+    void sizes_of_torques(const double* values, double* out) {
+        wrenches_.assign(stages_.all.size() * TWIST, 0.0);
+        for (int row = 0; row < in_.rows; row++) {
+            if (values[row] == 0.0) continue;
+            const double value = in_.roots[row] * values[row], *c = in_.given + size_t(TWIST) * row;
+            double* to = wrenches_.data() + size_t(TWIST) * stages_.of_joint[in_.row_joints[row]];
+            for (int i = 0; i < TWIST; i++) to[i] += abs(value * c[i]);
+        }
+        for (size_t n = stages_.all.size(); n-- > 0;) {
+            const Stage& stage = stages_.all[n];
+            const double* sizes = wrenches_.data() + n * TWIST;
+            for (int i = 0; i < stage.count; i++) {
+                const double* g = stages_.axis(stage, i);
+                double sum = 0.0;
+                for (int k = 0; k < TWIST; k++) sum += abs(g[k]) * sizes[k];
+                out[stages_.joints[stage.joints + i]] = sum;
+            }
+            if (stage.before == BASE) continue;
+            double* to = wrenches_.data() + size_t(TWIST) * stage.before;
+            const double *a = stage.arm, x = abs(a[0]), y = abs(a[1]), z = abs(a[2]);
+            to[0] += sizes[0] + y * sizes[5] + z * sizes[4];
+            to[1] += sizes[1] + z * sizes[3] + x * sizes[5];
+            to[2] += sizes[2] + x * sizes[4] + y * sizes[3];
+            for (int i = 3; i < TWIST; i++) to[i] += sizes[i];
+        }
+    }
+
     // missing_ := what a level's rows lack at u, or at rest
     void missing(const Level& level, const double* sides, const double* u) {
         if (u) stages_.twists(u, twists_);
         for (int row : level.sorted) {
-            const double* s = u ? twists_.data() + size_t(TWIST) * stages_.of_joint[in_.row_joints[row]] : nullptr;
+            const double* s = u ? twist_of(row) : nullptr;
             missing_[row] = sides[row] - (s ? in_.roots[row] * product(in_.given + size_t(TWIST) * row, s) : 0.0);
         }
     }
@@ -162,7 +307,7 @@ class TreeElimination {
     std::vector<Level> levels_;
     std::vector<int> used_;  // the levels that have rows
     int inputs_ = 0, left_ = 0;
-    std::vector<double> q_, e_, z_, f_, missing_, twists_, step_, parts_;
+    std::vector<double> q_, e_, z_, f_, missing_, twists_, step_, parts_, pulls_, noise_, blur_, white_, wrenches_;
 };
 
 }  // namespace prioritized_ik

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.solvers.compiled.library import library
-from prioritized_ik.solvers.tree.elimination import Ending, Factors, TreeRowsOnJoints
+from prioritized_ik.solvers.tree.factors import Balance, Ending, Factors, TreeRowsOnJoints
 from prioritized_ik.tolerances import NOISE, ROUNDING, TREE_ZERO
 from prioritized_ik.validation import Array
 
@@ -31,6 +31,27 @@ class TreeInput(ctypes.Structure):
     )
 
 
+_idle: list[ctypes.c_void_p] = []  # what was of use to a problem before: its memory is there already
+MOST_IDLE = 4
+
+
+def _taken(core: ctypes.CDLL) -> ctypes.c_void_p:
+    try:
+        return _idle.pop()
+    except IndexError:
+        address = core.core_tree_new()
+        if not address:
+            raise MemoryError("no memory for the compiled core") from None
+        return ctypes.c_void_p(address)
+
+
+def _given_back(core: ctypes.CDLL, address: ctypes.c_void_p) -> None:
+    if len(_idle) < MOST_IDLE:
+        _idle.append(address)
+    else:
+        core.core_tree_delete(address)
+
+
 class CompiledElimination(Factors):
     """`Elimination` in the compiled core; one problem's faces, one after the other, in the same memory."""
 
@@ -39,11 +60,8 @@ class CompiledElimination(Factors):
         assert core is not None
         self.rows = rows
         self._core = core
-        address = core.core_tree_new()
-        if not address:
-            raise MemoryError("no memory for the compiled core")
-        self._address = ctypes.c_void_p(address)
-        weakref.finalize(self, core.core_tree_delete, self._address)
+        self._address = _taken(core)
+        weakref.finalize(self, _given_back, core, self._address)
         m, k = rows.tree.joint_count, len(rows.joints)
         self.fixed, self._counts = np.zeros(m, dtype=bool), np.zeros(k, dtype=bool)
         self._lengths, self._strongest = np.zeros(k), np.zeros(rows.levels + 1)
@@ -101,6 +119,16 @@ class CompiledElimination(Factors):
     def displacement(self, level: int, whitened: Array) -> Array:
         """See `Elimination.displacement`."""
         return self._asked(DISPLACEMENT, level, whitened, len(self.fixed))
+
+    def balance(self, level: int, given: Array, sizes: Array, rounded: float, off: Array, *, is_held: bool) -> Balance:
+        """See `Factors.balance`, which this does in one go."""
+        arrays = [np.ascontiguousarray(array, dtype=float) for array in (given, sizes)]
+        m, k = len(self.fixed), len(self.rows.joints)
+        made = [off.copy(), np.empty(m), np.empty(k), np.empty(m), np.empty(6)]
+        addresses = [array.ctypes.data for array in (*arrays, *made)]
+        self._checked(self._core.core_tree_balance(self._address, level, is_held, rounded, *addresses))
+        off, rest, pulls, of_bounds, figures = made
+        return Balance(rest, pulls, off, of_bounds, *figures.tolist())
 
     def row_lengths(self) -> Array:
         """See `Elimination.row_lengths`."""

@@ -6,6 +6,8 @@
     triangle.py      the level's rows in the former
     elimination.py   the strict levels of one face by these; the form to read, and what the compiled one is held to
                      (`compiled/tree.hpp`)
+    factors.py       what such a factorisation is asked for
+    balance.py       how far levels above, bounds and rows balance a level's gradient
     certificate.py   the proof of a step, from products with J and Jᵀ
     active_set.py    from a guess of the active rows to those of the optimum
     step.py          from a problem to its step, or to None where the dense form is to answer

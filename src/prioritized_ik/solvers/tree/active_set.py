@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
-from prioritized_ik.solvers.tree.elimination import Ending
+from prioritized_ik.solvers.tree.factors import Ending
 from prioritized_ik.solvers.tree.posed import PosedOnTree
 from prioritized_ik.tolerances import CERTIFIED, CUT_MARGIN, FLOOR, FREE, KEPT, REFINEMENTS
 from prioritized_ik.validation import Array, length
@@ -50,6 +50,7 @@ class Search:
         self.posed, self._factors = posed, posed.factors
         self._frozen = posed.lower == posed.upper
         self._closed_form_length: float | None = None
+        self._factored: tuple[bytes, bool] | None = None  # the face that is factored, and whether its ranks are clear
 
     def nothing(self) -> ActiveSet:
         """Return the set of no row but frozen joints."""
@@ -84,19 +85,24 @@ class Search:
         posed, factors = self.posed, self._factors
         if not self._factor(active):
             return None
-        fixed = active.side != 0
         values = np.where(active.side > 0, posed.upper, np.where(active.side < 0, posed.lower, 0.0))
         u = factors.solve(values, self._sides(posed.sides, active), posed.reference)
         if not np.isfinite(u).all():
             return None
-        for _ in range(REFINEMENTS):  # for what the first time leaves
-            more = factors.solve(np.zeros(len(u)), self._sides(posed.missing(u), active), posed.reference - u)
-            u = u + more
-            u[fixed] = values[fixed]
-            if length(more) <= REFINED * length(u):
-                break
         missed = np.abs(posed.slack(u)[active.held])
         return None if missed.max(initial=0.0) > CERTIFIED * max(length(u), 1e-300) else u
+
+    def _proven(self, u: Array, active: ActiveSet, scale: float) -> tuple[Array, TreeProof]:
+        """Return a face's step and its proof, once what the first solution leaves is mended; the face stays factored."""
+        posed, factors, fixed = self.posed, self._factors, active.side != 0
+        proof = TreeProof(posed, factors, u, active, scale)
+        for _ in range(REFINEMENTS):
+            if max(level.excess for level in proof.levels) <= REFINED * scale:
+                break
+            more = factors.solve(np.zeros(len(u)), self._sides(posed.missing(u), active), posed.reference - u)
+            u = np.where(fixed, u, u + more)
+            proof = TreeProof(posed, factors, u, active, scale)
+        return u, proof
 
     def _sides(self, sides: Array, active: ActiveSet) -> Array:
         """Return right-hand sides `(k,)` without those of inequality rows that are not held, which may be infinite."""
@@ -105,9 +111,11 @@ class Search:
         return kept
 
     def _factor(self, active: ActiveSet) -> bool:
-        held = np.zeros(len(self.posed.level), dtype=bool)
-        held[self.posed.parts[0]] = active.held
-        return self._factors.factor(active.side != 0, held) is Ending.CLEAR
+        if self._factored is None or self._factored[0] != active.key:
+            held = np.zeros(len(self.posed.level), dtype=bool)
+            held[self.posed.parts[0]] = active.held
+            self._factored = active.key, self._factors.factor(active.side != 0, held) is Ending.CLEAR
+        return self._factored[1]
 
     def closed_form(self) -> tuple[Found | None, Array | None]:
         """Return the closed form if it breaks no row, with its proof; and the step in any case."""
@@ -119,7 +127,7 @@ class Search:
         scale = self._scale(u, active)
         if self._worst(u) < -FREE * scale:
             return None, u
-        proof = TreeProof(self.posed, self._factors, u, active, scale)
+        u, proof = self._proven(u, active, scale)
         return (Found(u, proof, active, 0) if proof.holds_with_margin else None), u
 
     def optimum(self, active: ActiveSet) -> Found | None:
@@ -133,14 +141,12 @@ class Search:
                 return self._one_by_one(corrections)
             scale = self._scale(u, active)
             broken = self._broken(u, active, KEPT * scale)
-            proof = TreeProof(self.posed, self._factors, u, active, scale)
+            u, proof = self._proven(u, active, scale)
             last = proof.levels[-1]
             if not broken.count and not last.pulls:
                 return Found(u, proof, active, corrections) if proof.holds_with_margin else None
             if last.pulls:
-                following = ActiveSet(
-                    np.where(last.wrong_bounds, 0, active.side).astype(np.int8), active.held & ~last.wrong_rows
-                )
+                following = _without_pulling(proof, active)
             else:
                 following = self._with_worst(u, active, broken, share)
             if following.key in visited:
@@ -182,7 +188,7 @@ class Search:
                 u, active = self._towards(u, target, active, broken)
                 continue
             u = target
-            proof = TreeProof(posed, self._factors, u, active, scale)
+            u, proof = self._proven(u, active, scale)
             if not proof.levels[-1].pulls:
                 return Found(u, proof, active, corrections + more) if proof.holds_with_margin else None
             # Back at a set, the row that was dropped there holds a level above by less than rounding shows: then the next.
@@ -234,6 +240,11 @@ class Search:
             self._closed_form_length = max(0.0 if free is None else length(free), *asked)
             self._factor(active)
         return max(size, FLOOR * self._closed_form_length) or 1.0
+
+
+def _without_pulling(proof: TreeProof, active: ActiveSet) -> ActiveSet:
+    last = proof.levels[-1]
+    return ActiveSet(np.where(last.wrong_bounds, 0, active.side).astype(np.int8), active.held & ~last.wrong_rows)
 
 
 def _without_one(proof: TreeProof, active: ActiveSet, turn: int) -> ActiveSet | None:

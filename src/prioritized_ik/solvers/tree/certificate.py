@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.solvers.certificate import FAR, Certificate
-from prioritized_ik.solvers.tree.elimination import Factors
+from prioritized_ik.solvers.tree.factors import Factors
 from prioritized_ik.solvers.tree.posed import PosedOnTree
 from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAST_DEMAND, MARGIN, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, length
 
-ROUNDED = 8.0 * EPS  # [of the root of the sum of squares of a sum's terms]: a few times what thousands of terms leave
+#: [of the sum of the sizes of a sum's terms] What rounding leaves; that of one link's motion is in all rows beyond it alike
+ROUNDED = 2.0 * EPS
 PULLS = 4.0  # [of what rounding leaves]: a multiplier below minus this pulls, and a rest above it is one
 
 
@@ -95,6 +96,8 @@ class TreeProof:
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
         self._missing = posed.missing(u)
         self._off = np.zeros(m)  # how far the step is off what levels so far would have, as their gradients show
+        self._is_held = active.count > 0
+        self._nothing, self._nobody = (np.zeros(m), np.zeros(c)), (np.zeros(m, dtype=bool), np.zeros(c, dtype=bool))
         self.levels = list(self._prove())
 
     def _prove(self) -> Iterator[TreeLevelProof]:
@@ -105,118 +108,52 @@ class TreeProof:
             if proof.pulls:
                 return
 
-    def _gradient(self, number: int, *, is_last: bool) -> Array:
-        posed = self._posed
-        if is_last:
-            return self._u - posed.reference
-        part = posed.parts[number]
-        return -posed.rows[part].transposed_times(posed.roots[part] * self._missing[part])
-
-    def _balanced(self, number: int, gradient: Array) -> tuple[Array, Array]:
-        """Return multipliers of the rows of the levels above `(k,)`, and what they leave of a gradient `(m,)`.
-
-        The lowest of these levels comes first: its rows are nothing to what those below it decide.
-        """
-        posed, factors = self._posed, self._factors
-        pulls, rest = np.zeros(len(posed.level)), gradient
-        for above in reversed(range(number)):
-            if factors.ranks[above]:
-                along = np.where(factors.fixed, 0.0, rest)
-                own = -factors.pulls(above, factors.whitened(above, factors.parts(along)[above]))
-                part = posed.parts[above]
-                rest = rest + posed.rows[part].transposed_times(own[part] * posed.roots[part])
-                pulls += own
-        return pulls, rest.copy() if rest is gradient else rest
-
     def _level(self, number: int, *, is_last: bool) -> TreeLevelProof:
         posed, factors, u, active = self._posed, self._factors, self._u, self._active
-        gradient = self._gradient(number, is_last=is_last)
-        pulls, rest = self._balanced(number, gradient)
-        bounds = np.where((active.side == 0) | self._frozen, 0.0, -rest * active.side)
-        rest[active.side != 0] = 0.0
-        rows = np.where(active.held, pulls[posed.parts[0]], 0.0)
-        parts = factors.parts(rest)
         if is_last:
-            decided = parts[-1]
-            moved, astray = length(decided), parts[:-1]
-            blur = self._off
+            given = u - posed.reference
             demand = length(u) + length(posed.reference)
-            strength, cost, steepest = 1.0, length(gradient), 1.0
+            strength, cost, steepest, sizes = 1.0, length(given), 1.0, np.abs(u) + np.abs(posed.reference)
         else:
-            decided = factors.whitened(number, parts[number])
-            displacement = factors.displacement(number, decided)
-            moved, astray = length(displacement), [*parts[:number], *parts[number + 1 :]]
-            part = posed.parts[number]
-            self._off = self._off + displacement
-            blur = posed.rows[part].transposed_times(posed.roots[part] ** 2 * posed.rows[part].times(self._off))
-            strength, cost = posed.strength(number), length(self._missing[part])
-            steepest = factors.strongest[number] or strength
-            terms = posed.demand(number) + strength * length(u)
-            demand = max(posed.demand(number), cost, LEAST_DEMAND * terms)
-        noise = self._noise(number, pulls, is_last=is_last)
+            part, given = posed.parts[number], self._missing
+            strength, cost = posed.strength(number), length(given[part])
+            steepest, sizes = factors.strongest[number] or strength, self._sizes
+            demand = max(posed.demand(number), cost, LEAST_DEMAND * (posed.demand(number) + strength * length(u)))
+            sizes = np.where(posed.level == number, sizes, 0.0)
+        found = factors.balance(number, given, sizes, ROUNDED, self._off, is_held=self._is_held)
+        self._off = found.off
         # Along what a level does not feel its gradient is nothing but rounding: more is a rank gone wrong. So is what its
         # multipliers leave along what levels above decide: more is a multiplier gone wrong.
-        off = length(np.array([length(part) for part in astray]))
-        unfelt = max(0.0, off - PULLS * length(noise))
-        excess = moved
+        unfelt = max(0.0, found.astray - PULLS * found.noise)
+        excess = found.moved
         if unfelt:  # how far it goes if it is as flat as `UNFELT` allows
             excess += unfelt / (UNFELT * steepest) ** 2
-        feigned = factors.parts(np.where(factors.fixed, 0.0, noise * self._signs))
-        noise = noise + np.abs(blur)
-        explained = length(noise) if is_last else self._feigned(number, feigned)
-        gap = float(decided @ decided) + 2.0 * unfelt * self.scale
-        gap += self._slackness(bounds, rows)
-        held_bounds, held_rows = np.isfinite(self._leak_of_bounds), np.isfinite(self._leak_of_rows)
-        of_bounds, noise_of_rows = self._noise_of_multipliers(number, noise, blur)
-        wrong_bounds = (bounds < -PULLS * of_bounds) & ~held_bounds
-        wrong_rows = (rows < -PULLS * noise_of_rows) & ~held_rows
-        first_bounds = (bounds > of_bounds) & ~held_bounds
-        first_rows = (rows > noise_of_rows) & ~held_rows
-        self._leak_of_bounds[first_bounds] = gap / bounds[first_bounds]
-        self._leak_of_rows[first_rows] = gap / rows[first_rows]
-        loosened = float(np.abs(self._slack[first_rows]).sum()) if not is_last else 0.0
+        gap, loosened = found.lower + 2.0 * unfelt * self.scale, 0.0
+        bounds, rows = self._nothing
+        wrong_bounds, wrong_rows = self._nobody
+        if self._is_held:
+            bounds = np.where((active.side == 0) | self._frozen, 0.0, -found.rest * active.side)
+            rows = np.where(active.held, found.pulls[posed.parts[0]], 0.0)
+            gap += self._slackness(bounds, rows)
+            held_bounds, held_rows = np.isfinite(self._leak_of_bounds), np.isfinite(self._leak_of_rows)
+            wrong_bounds = (bounds < -PULLS * found.of_bounds) & ~held_bounds
+            wrong_rows = (rows < -PULLS * found.of_rows) & ~held_rows
+            first_bounds, first_rows = (bounds > found.of_bounds) & ~held_bounds, (rows > found.of_rows) & ~held_rows
+            self._leak_of_bounds[first_bounds] = gap / bounds[first_bounds]
+            self._leak_of_rows[first_rows] = gap / rows[first_rows]
+            loosened = float(np.abs(self._slack[first_rows]).sum()) if not is_last else 0.0
         above = self._above
         carried = 2.0 * strength * cost * above + (strength * above) ** 2
-        self._above = max(self._above, explained, loosened)
-        return TreeLevelProof(
-            gap, demand, excess, max(explained, loosened), carried, bounds, rows, wrong_bounds, wrong_rows
-        )
-
-    def _noise(self, number: int, pulls: Array, *, is_last: bool) -> Array:
-        """Return how much of a level's balanced gradient along each joint `(m,)` may be rounding."""
-        posed, sizes = self._posed, np.abs(pulls) * self._posed.roots
-        if not is_last:
-            part = posed.parts[number]
-            sizes[part] += posed.roots[part] * (np.abs(self._missing[part]) + self._terms[part])
-        noise = ROUNDED * posed.rows.sizes_of_torques(sizes)
-        if is_last:
-            noise = noise + ROUNDED * (np.abs(self._u) + np.abs(posed.reference))
-        return noise
-
-    def _noise_of_multipliers(self, number: int, noise: Array, blur: Array) -> tuple[Array, float]:
-        """Return how uncertain multipliers of bounds are `(m,)`, and those of rows.
-
-        Args:
-            number: of the level.
-            noise: of its gradient along each joint `(m,)`.
-            blur: what of that comes of what the step is off `(m,)`.
-        """
-        posed, factors = self._posed, self._factors
-        if not self._active.count:
-            return noise, 0.0
-        pulls = np.zeros(len(posed.level))
-        feigned = factors.parts(np.where(factors.fixed, 0.0, noise * np.where(blur < 0.0, -1.0, 1.0)))
-        for above in range(number):
-            if factors.ranks[above]:
-                pulls += factors.pulls(above, factors.whitened(above, feigned[above]))
-        # What balances uncertain multipliers is as uncertain, and so is what that does to joints at a bound.
-        rows = float(np.abs(pulls[posed.parts[0]]).max(initial=0.0))
-        return noise + posed.rows.sizes_of_torques(pulls * posed.roots), rows
+        self._above = max(self._above, found.feigned, loosened)
+        rounding = max(found.feigned, loosened)
+        return TreeLevelProof(gap, demand, excess, rounding, carried, bounds, rows, wrong_bounds, wrong_rows)
 
     @cached_property
-    def _terms(self) -> Array:
-        """How large the terms are whose differences the rows' residuals are, weighted `(k,)`."""
-        return self._posed.roots * (np.abs(self._posed.sides) + self._posed.rows.sizes_of_terms(self._u))
+    def _sizes(self) -> Array:
+        """How large the terms are whose differences the rows' residuals are, and these, weighted `(k,)`."""
+        posed = self._posed
+        terms = posed.roots * (np.abs(posed.sides) + posed.rows.sizes_of_terms(self._u))
+        return terms + posed.roots * np.abs(self._missing)
 
     def _slackness(self, bounds: Array, rows: Array) -> float:
         """Return 2 Σ |λ| slack; of rows that a level above holds, times how far they can move."""
@@ -227,16 +164,6 @@ class TreeProof:
         back_rows, back_bounds = (rows < 0.0) & (leak_of_rows < FAR), (bounds < 0.0) & np.isfinite(self._leak_of_bounds)
         at_bounds = np.where(back_bounds, np.minimum(self._leak_of_bounds, FAR), 0.0)  # bounds are kept to the last bit
         return 2.0 * float(np.abs(rows) @ np.where(back_rows, leak_of_rows, slack) + np.abs(bounds) @ at_bounds)
-
-    def _feigned(self, number: int, parts: list[Array]) -> float:
-        """Return how long a step a gradient of rounding, in `parts`, can feign at a level."""
-        factors = self._factors
-        return length(factors.displacement(number, factors.whitened(number, parts[number])))
-
-    @cached_property
-    def _signs(self) -> Array:
-        """Signs as if at random `(m,)`."""
-        return np.where(np.arange(len(self._u)) * 7919 % 13 < 6, 1.0, -1.0)
 
     @cached_property
     def violation(self) -> float:

@@ -8,15 +8,12 @@ there are joints and rows, and every transformation is orthogonal, so that a fac
 however long the chain. `compiled/tree.hpp` is the form that is fast.
 """
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from enum import IntEnum
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.kinematic_tree import BASE, KinematicTree, Numbers, PointRows
+from prioritized_ik.kinematic_tree import BASE
+from prioritized_ik.solvers.tree.balance import balance
+from prioritized_ik.solvers.tree.factors import HELD, Balance, Ending, Factors, TreeRowsOnJoints
 from prioritized_ik.solvers.tree.frames import END, FrameStep, Parted, next_frame, part
 from prioritized_ik.solvers.tree.stages import TWIST, Stage, stages_of, twist_moved
 from prioritized_ik.solvers.tree.triangle import Coordinates, Triangle
@@ -25,125 +22,6 @@ from prioritized_ik.validation import Array, length
 
 NEAR = 1e-10  # [of its terms] a pivot of the inertia this small may have either sign
 SHORT = 1e-5  # [of its terms] a length this small, the root of a sum of squares that cancel, is worked out anew
-HELD = 0  # the level of rows that are held; the problem's are numbered from 1, and the last level comes after them
-
-
-@dataclass(frozen=True, eq=False)
-class TreeRowsOnJoints:
-    """All rows of a problem on a tree, in the problem's joint metric.
-
-    Attributes:
-        tree: of joints in the metric, in a unit of length in which turns and motions count alike.
-        levels: number of the problem's levels.
-        points: the rows as motions of points `(k,)`, in the problem's own unit.
-        joints: the last joint that moves each row's point `(k,)`, a number even where none does.
-        level: of each `(k,)`, `HELD` or from 1 on.
-        roots: √w of each `(k,)`, zero of those that count for nothing.
-        given: each row on its joint's twist, moment about its anchor before force, without weights `(k, 6)`.
-    """
-
-    tree: KinematicTree
-    levels: int
-    points: PointRows
-    joints: Numbers
-    level: Numbers
-    roots: Array
-    given: Array
-
-    @property
-    def last(self) -> int:
-        """Number of the last level."""
-        return self.levels + 1
-
-    @cached_property
-    def axes(self) -> Array:
-        """The twist of a unit step of each joint `(m, 6)`, ω before v."""
-        return np.concatenate([self.tree.angular, self.tree.linear], axis=1)
-
-    @cached_property
-    def arms(self) -> Array:
-        """From the anchor of the joint before to each joint's `(m, 3)`, zero for the first ones."""
-        parents, anchors = self.tree.parents, self.tree.anchors
-        return np.where(parents[:, None] == BASE, 0.0, anchors - anchors[parents])
-
-    @cached_property
-    def carrying(self) -> NDArray[np.bool_]:
-        """Which joints carry a row `(m,)`."""
-        mask = np.zeros(self.tree.joint_count, dtype=bool)
-        mask[self.joints] = True
-        return mask
-
-
-class Ending(IntEnum):
-    """How a factorisation ended."""
-
-    CLEAR = 0
-    RANK = 1  # what a level feels of some direction is neither clearly zero nor clearly not
-
-
-class Factors(ABC):
-    """One face's factorisation at a time, and what it solves.
-
-    Coordinates are those of a level's own directions `(p,)`, or of those that all levels leave `(f,)`; both orthonormal.
-
-    Attributes:
-        rows: of the problem.
-        fixed: which joints are fixed `(m,)`.
-        ranks: p of each level, `HELD` first.
-        strongest: largest pivot of each of these levels.
-    """
-
-    rows: TreeRowsOnJoints
-    fixed: NDArray[np.bool_]
-    ranks: list[int]
-    strongest: list[float]
-
-    @abstractmethod
-    def factor(self, fixed: NDArray[np.bool_], held: NDArray[np.bool_]) -> Ending:
-        """Factor a face; say whether every level's rank is clear.
-
-        Args:
-            fixed: which joints are fixed `(m,)`.
-            held: which of the rows of level `HELD` are held `(k,)`; of no meaning for the others.
-        """
-
-    @abstractmethod
-    def solve(self, values: Array, sides: Array, reference: Array) -> Array:
-        """Return the strict optimum u `(m,)`; held rows that contradict each other are met in the sense of least squares.
-
-        Args:
-            values: of the fixed joints `(m,)`.
-            sides: right-hand sides of the rows, weighted `(k,)`.
-            reference: r `(m,)`.
-        """
-
-    @abstractmethod
-    def parts(self, gradient: Array) -> list[Array]:
-        """Return a gradient `(m,)` in the coordinates of each level, `HELD` first, and of what all leave."""
-
-    @abstractmethod
-    def whitened(self, level: int, part: Array) -> Array:
-        """Return R⁻ᵀ of a level's part of a gradient `(p,)`: its squares are how much lower the level's cost could be."""
-
-    @abstractmethod
-    def pulls(self, level: int, whitened: Array) -> Array:
-        """Return the values of all rows `(k,)`, zero but for the level's own, whose weighted sum is a `whitened` part."""
-
-    @abstractmethod
-    def displacement(self, level: int, whitened: Array) -> Array:
-        """Return the move `(m,)` along the level's directions whose R u is `whitened` `(p,)`."""
-
-    @abstractmethod
-    def row_lengths(self) -> Array:
-        """Return the length of each row of the matrix, without weights `(k,)`: of all joints that move its point."""
-
-    @abstractmethod
-    def count_below(self, level: int, tau: float) -> int | None:
-        """Return how many singular values of a level's matrix, without weights, are below `tau`; None if that is not clear.
-
-        In the directions that the levels above leave, zeros included: Sylvester's inertia of AᵀA - τ² 1, by one more
-        elimination, against the flow of the level's frame.
-        """
 
 
 class Elimination(Factors):
@@ -225,6 +103,20 @@ class Elimination(Factors):
         if triangle is None:
             return np.zeros(len(self.fixed))
         return self._joined(level, triangle.solve(self._by_step(level, whitened)))
+
+    def balance(self, level: int, given: Array, sizes: Array, rounded: float, off: Array, *, is_held: bool) -> Balance:
+        """See `balance.balance`."""
+        return balance(self, self.sizes_of_torques, level, given, sizes, rounded, off, is_held=is_held)
+
+    def sizes_of_torques(self, values: Array) -> Array:
+        """Return the sum of the sizes of all terms of the torques of rows, weighted, times `values` `(m,)`."""
+        sizes, out = np.zeros((len(self._stages), TWIST)), np.zeros(len(self.fixed))
+        np.add.at(sizes, self._stage_of_rows, np.abs((values * self.rows.roots)[:, None] * self.rows.given))
+        for number, stage in reversed(list(enumerate(self._stages))):
+            out[stage.joints] = np.abs(stage.axes) @ sizes[number]
+            if stage.before != BASE:
+                sizes[stage.before] += np.abs(twist_moved(stage.arm).T) @ sizes[number]
+        return out
 
     def row_lengths(self) -> Array:
         """See `Factors.row_lengths`."""

@@ -8,7 +8,8 @@ from prioritized_ik.kinematic_tree import BASE, PointRows, crossed, length_of
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.solvers.compiled.tree import CompiledElimination
-from prioritized_ik.solvers.tree.elimination import Elimination, Factors, TreeRowsOnJoints
+from prioritized_ik.solvers.tree.elimination import Elimination
+from prioritized_ik.solvers.tree.factors import Factors, TreeRowsOnJoints
 from prioritized_ik.tolerances import NOISE
 from prioritized_ik.tree_problem import TreeLevel, TreeRows, tree_of
 from prioritized_ik.validation import Array, length

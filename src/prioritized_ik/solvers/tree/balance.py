@@ -1,0 +1,78 @@
+"""How far rows of the levels above, and what is fixed, balance a level's gradient at a step: what its proof is made of."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from prioritized_ik.solvers.tree.factors import HELD, Balance, Factors
+from prioritized_ik.validation import Array, length
+
+
+def balance(
+    factors: Factors,
+    sizes_of_torques: Callable[[Array], Array],
+    level: int,
+    given: Array,
+    sizes: Array,
+    rounded: float,
+    off: Array,
+    *,
+    is_held: bool,
+) -> Balance:
+    """Return how far a level's gradient is balanced.
+
+    Multipliers are of this factorisation, but what they leave is worked out from rows and axes as they are given. The
+    lowest of the levels above comes first: its rows are nothing to what those below it decide.
+
+    Args:
+        factors: of the face that the step is on.
+        sizes_of_torques: returns the sum of the sizes of all terms of the torques of weighted rows times values.
+        level: its number; the last level's counts too.
+        given: what its rows lack, weighted `(k,)`; of the last level, its gradient u - r `(m,)`.
+        sizes: of the terms of that, `(k,)` or `(m,)`.
+        rounded: rounding of a term.
+        off: how far the step is off what the levels before would have `(m,)`.
+        is_held: whether anything is fixed or held, so that multipliers are of interest.
+    """
+    rows = factors.rows
+    is_last, pulls = level == rows.last, np.zeros(len(rows.level))
+
+    def torques(values: Array) -> Array:
+        return rows.points.transposed_times(values * rows.roots)
+
+    own_rows = rows.level == level
+    rest = given.copy() if is_last else -torques(np.where(own_rows, given, 0.0))
+    for above in reversed(range(level)):
+        if factors.ranks[above]:
+            own = -factors.pulls(above, factors.whitened(above, factors.parts(rest)[above]))
+            rest = rest + torques(own)
+            pulls += own
+    parts = factors.parts(rest)
+    decided = parts[-1] if is_last else factors.whitened(level, parts[level])
+    blur, moved = off, length(decided)
+    if not is_last:
+        displacement = factors.displacement(level, decided)
+        off, moved = off + displacement, length(displacement)
+        blur = torques(np.where(own_rows, rows.roots * rows.points.times(off), 0.0))
+    noise = rounded * sizes_of_torques(np.abs(pulls) + (0.0 if is_last else sizes))
+    if is_last:
+        noise = noise + rounded * sizes
+    others = parts[:-1] if is_last else [*parts[:level], *parts[level + 1 :]]
+    astray = length(np.array([length(part) for part in others]))
+    signs = np.where(np.arange(len(noise)) * 7919 % 13 < 6, 1.0, -1.0)
+    of_bounds, of_rows = noise + np.abs(blur), 0.0
+    if is_last:
+        feigned = length(of_bounds)
+    else:
+        feigned = length(factors.displacement(level, factors.whitened(level, factors.parts(noise * signs)[level])))
+    if is_held:
+        # What balances uncertain multipliers is as uncertain, and so is what that does to joints at a bound.
+        uncertain, unsure = factors.parts(np.where(blur < 0.0, -of_bounds, of_bounds)), np.zeros(len(pulls))
+        for above in range(level):
+            if factors.ranks[above]:
+                some = np.abs(factors.pulls(above, factors.whitened(above, uncertain[above])))
+                own = rows.level == above
+                unsure += np.where(own, some + length(some) / np.sqrt(np.count_nonzero(own)), 0.0)
+        of_bounds = of_bounds + sizes_of_torques(unsure)
+        of_rows = float(unsure[rows.level == HELD].max(initial=0.0))
+    return Balance(rest, pulls, off, of_bounds, float(decided @ decided), moved, astray, length(noise), feigned, of_rows)

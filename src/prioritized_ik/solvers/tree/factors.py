@@ -1,0 +1,165 @@
+"""What a factorisation of a face on a kinematic tree is asked for, whoever makes it."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prioritized_ik.kinematic_tree import BASE, KinematicTree, Numbers, PointRows
+from prioritized_ik.validation import Array
+
+HELD = 0  # the level of rows that are held; the problem's are numbered from 1, and the last level comes after them
+
+
+@dataclass(frozen=True, eq=False)
+class TreeRowsOnJoints:
+    """All rows of a problem on a tree, in the problem's joint metric.
+
+    Attributes:
+        tree: of joints in the metric, in a unit of length in which turns and motions count alike.
+        levels: number of the problem's levels.
+        points: the rows as motions of points `(k,)`, in the problem's own unit.
+        joints: the last joint that moves each row's point `(k,)`, a number even where none does.
+        level: of each `(k,)`, `HELD` or from 1 on.
+        roots: √w of each `(k,)`, zero of those that count for nothing.
+        given: each row on its joint's twist, moment about its anchor before force, without weights `(k, 6)`.
+    """
+
+    tree: KinematicTree
+    levels: int
+    points: PointRows
+    joints: Numbers
+    level: Numbers
+    roots: Array
+    given: Array
+
+    @property
+    def last(self) -> int:
+        """Number of the last level."""
+        return self.levels + 1
+
+    @cached_property
+    def axes(self) -> Array:
+        """The twist of a unit step of each joint `(m, 6)`, ω before v."""
+        return np.concatenate([self.tree.angular, self.tree.linear], axis=1)
+
+    @cached_property
+    def arms(self) -> Array:
+        """From the anchor of the joint before to each joint's `(m, 3)`, zero for the first ones."""
+        parents, anchors = self.tree.parents, self.tree.anchors
+        return np.where(parents[:, None] == BASE, 0.0, anchors - anchors[parents])
+
+    @cached_property
+    def carrying(self) -> NDArray[np.bool_]:
+        """Which joints carry a row `(m,)`."""
+        mask = np.zeros(self.tree.joint_count, dtype=bool)
+        mask[self.joints] = True
+        return mask
+
+
+class Ending(IntEnum):
+    """How a factorisation ended."""
+
+    CLEAR = 0
+    RANK = 1  # what a level feels of some direction is neither clearly zero nor clearly not
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """How far rows of the levels above, and what is fixed, balance a level's gradient at a step.
+
+    Attributes:
+        rest: what the rows leave of the gradient `(m,)`; along fixed joints, what holds these.
+        pulls: multipliers of the rows of the levels above `(k,)`.
+        off: how far the step is off what this level and those before it would have `(m,)`, as their gradients show.
+        of_bounds: how uncertain the rest is along each joint `(m,)`.
+        lower: R⁻ᵀ of the rest, squared: how much lower the level's cost could be.
+        moved: length of the step that would lower it.
+        astray: length of the rest along what the level does not decide; all of it is rounding, or a multiplier gone wrong.
+        noise: how long a gradient rounding can feign.
+        feigned: how long a step that can feign.
+        of_rows: how uncertain multipliers of held rows are.
+    """
+
+    rest: Array
+    pulls: Array
+    off: Array
+    of_bounds: Array
+    lower: float
+    moved: float
+    astray: float
+    noise: float
+    feigned: float
+    of_rows: float
+
+
+class Factors(ABC):
+    """One face's factorisation at a time, and what it solves.
+
+    Coordinates are those of a level's own directions `(p,)`, or of those that all levels leave `(f,)`; both orthonormal.
+
+    Attributes:
+        rows: of the problem.
+        fixed: which joints are fixed `(m,)`.
+        ranks: p of each level, `HELD` first.
+        strongest: largest pivot of each of these levels.
+    """
+
+    rows: TreeRowsOnJoints
+    fixed: NDArray[np.bool_]
+    ranks: list[int]
+    strongest: list[float]
+
+    @abstractmethod
+    def factor(self, fixed: NDArray[np.bool_], held: NDArray[np.bool_]) -> Ending:
+        """Factor a face; say whether every level's rank is clear.
+
+        Args:
+            fixed: which joints are fixed `(m,)`.
+            held: which of the rows of level `HELD` are held `(k,)`; of no meaning for the others.
+        """
+
+    @abstractmethod
+    def solve(self, values: Array, sides: Array, reference: Array) -> Array:
+        """Return the strict optimum u `(m,)`; held rows that contradict each other are met in the sense of least squares.
+
+        Args:
+            values: of the fixed joints `(m,)`.
+            sides: right-hand sides of the rows, weighted `(k,)`.
+            reference: r `(m,)`.
+        """
+
+    @abstractmethod
+    def parts(self, gradient: Array) -> list[Array]:
+        """Return a gradient `(m,)` in the coordinates of each level, `HELD` first, and of what all leave."""
+
+    @abstractmethod
+    def whitened(self, level: int, part: Array) -> Array:
+        """Return R⁻ᵀ of a level's part of a gradient `(p,)`: its squares are how much lower the level's cost could be."""
+
+    @abstractmethod
+    def pulls(self, level: int, whitened: Array) -> Array:
+        """Return the values of all rows `(k,)`, zero but for the level's own, whose weighted sum is a `whitened` part."""
+
+    @abstractmethod
+    def displacement(self, level: int, whitened: Array) -> Array:
+        """Return the move `(m,)` along the level's directions whose R u is `whitened` `(p,)`."""
+
+    @abstractmethod
+    def balance(self, level: int, given: Array, sizes: Array, rounded: float, off: Array, *, is_held: bool) -> Balance:
+        """Return how far a level's gradient is balanced, see `balance.balance`."""
+
+    @abstractmethod
+    def row_lengths(self) -> Array:
+        """Return the length of each row of the matrix, without weights `(k,)`: of all joints that move its point."""
+
+    @abstractmethod
+    def count_below(self, level: int, tau: float) -> int | None:
+        """Return how many singular values of a level's matrix, without weights, are below `tau`; None if that is not clear.
+
+        In the directions that the levels above leave, zeros included: Sylvester's inertia of AᵀA - τ² 1, by one more
+        elimination, against the flow of the level's frame.
+        """
