@@ -100,7 +100,7 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
             active = following
             continue
         u = target
-        proof = Proof(hierarchy, u)
+        proof = Proof(hierarchy, u, searching=True)
         if proof.certificate.holds:
             u, proof, active = _from_all_tight_rows(hierarchy, u, proof, active)
             return Solution(u, proof, active, iterations, converged=True, trace=tuple(trace))
@@ -169,7 +169,7 @@ def _held(
     below = to_hold @ felt.unfelt
     combinations, k = np.eye(len(to_hold)), 0
     if below.size:
-        combinations, strengths, _ = np.linalg.svd(below)
+        combinations, strengths, _ = np.linalg.svd(below, full_matrices=len(below) > below.shape[1])
         # Rounding is of every entry; what a rank tolerance settles is of a row as a whole.
         entries = 1 if hierarchy.rank_tolerance else below.shape[1]
         k = int(np.count_nonzero(strengths > hierarchy.settled * np.sqrt(entries)))
@@ -195,7 +195,7 @@ def _from_all_tight_rows(hierarchy: Hierarchy, u: Array, proof: Proof, active: A
     if (proof.ends_on == active).all():
         return u, proof, active
     same = face_solution(hierarchy, proof.ends_on)
-    again = Proof(hierarchy, same)
+    again = Proof(hierarchy, same, searching=True)
     better = (same, again) if again.certificate.holds else _refined(hierarchy, same, again)
     return (u, proof, active) if better is None else (*better, proof.ends_on)
 
@@ -210,7 +210,7 @@ def _refined(hierarchy: Hierarchy, u: Array, proof: Proof) -> tuple[Array, Proof
         if failing is None or failing.excess > REFINABLE * proof.scale:
             return None
         u = u + failing.displacement
-        proof = Proof(hierarchy, u)
+        proof = Proof(hierarchy, u, searching=True)
         if proof.certificate.holds:
             return u, proof
     return None

@@ -135,10 +135,11 @@ class Proof:
     Attributes:
         near: which pooled rows the step ends on `(r,)`; broken hard ones count too.
         exceeded: which rows of soft levels it exceeds `(r,)`.
-        levels: one proof a level, the last level's last.
+        levels: one proof a level, the last level's last; in a search, none after the first whose step would still lower
+            its cost: nothing that follows could make this an optimum.
     """
 
-    def __init__(self, hierarchy: Hierarchy, u: Array, tolerance: float = CERTIFIED) -> None:
+    def __init__(self, hierarchy: Hierarchy, u: Array, tolerance: float = CERTIFIED, *, searching: bool = False) -> None:
         self._hierarchy = hierarchy
         self._u = u
         self.tolerance = tolerance
@@ -158,7 +159,11 @@ class Proof:
         #: How far the step may go within the room that rows have: what is broken of hard ones, to begin with.
         self._loose = float(-self.slack.min(initial=0.0, where=rows.level == HARD))
         self._handed = np.zeros(len(u))  # the displacement that would mend the levels so far, however little
-        self.levels = list(self._prove())
+        self.levels: list[LevelProof] = []
+        for level in self._prove():
+            self.levels.append(level)
+            if searching and level.is_off:
+                break
 
     @cached_property
     def certificate(self) -> Certificate:

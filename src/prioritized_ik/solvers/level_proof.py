@@ -54,9 +54,14 @@ class LevelProof:
         return self.gap / self.demand**2 if self.gap and self.demand else 0.0
 
     @property
+    def is_off(self) -> bool:
+        """Whether a displacement beyond the tolerance would lower the level's cost: the step is no optimum."""
+        return self.excess > self.tolerance * self.scale
+
+    @property
     def fails(self) -> bool:
         """Whether the level is not proven optimal."""
-        return self.excess > self.tolerance * self.scale or self.relative_gap > GAP
+        return self.is_off or self.relative_gap > GAP
 
     def pulls(self, active: NDArray[np.bool_]) -> Iterator[int]:
         """Yield the `active` rows that pull, most first: their multipliers are negative if all are to be equalities."""
