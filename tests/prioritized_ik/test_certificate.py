@@ -624,3 +624,19 @@ def test_the_rank_tolerance_is_part_of_the_problem():
     assert not certify(problem, [1.0, 1.0], rank_tolerance=1e-4).holds
     assert certify(problem, [1.0, 1.0], rank_tolerance=1e-6).holds
     assert not certify(problem, [1.0, 0.0], rank_tolerance=1e-6).holds
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_proof_in_a_search_is_the_whole_one_up_to_the_first_level_that_is_off(seed):
+    known = random_hierarchy(seed)
+    hierarchy = Hierarchy(known.problem)
+    for off, u in [(False, known.dtheta), *((True, step) for step in moved(known.dtheta, 1e-3, 3))]:
+        whole, searching = Proof(hierarchy, u), Proof(hierarchy, u, searching=True)
+        ends = next((i for i, level in enumerate(whole.levels, 1) if level.is_off), len(whole.levels))
+        assert len(searching.levels) == ends
+        assert all(
+            np.array_equal(a.displacement, b.displacement) for a, b in zip(searching.levels, whole.levels, strict=False)
+        )
+        assert searching.certificate.holds == whole.certificate.holds
+        assert searching.certificate.is_optimal == whole.certificate.is_optimal
+        assert off or ends == len(whole.levels)
