@@ -18,7 +18,7 @@ from prioritized_ik.validation import Array, length
 SHARE = 0.3  # [of the worst violation] what is broken by less is left for later
 BLOCKS = 200  # sets that change in blocks
 SINGLES = 3  # [of joints and rows] sets after that which change by one row
-REFINED = 1e-12  # [of the step] a correction this small is the last one
+REFINED = 1e-11  # [of the step] what a step is off by less is left
 LONG = 1e-3  # [of what levels ask for, by their strength]: steps this long are not short for what levels ask for
 
 
@@ -95,10 +95,12 @@ class Search:
     def _proven(self, u: Array, active: ActiveSet, scale: float) -> tuple[Array, TreeProof]:
         """Return a face's step and its proof, once what the first solution leaves is mended; the face stays factored."""
         posed, factors, fixed = self.posed, self._factors, active.side != 0
-        proof = TreeProof(posed, factors, u, active, scale)
+        proof, before = TreeProof(posed, factors, u, active, scale), np.inf
         for _ in range(REFINEMENTS):
-            if max(level.excess for level in proof.levels) <= REFINED * scale:
+            excess = max(level.excess for level in proof.levels)
+            if excess <= REFINED * scale or excess > 0.5 * before:
                 break
+            before = excess
             more = factors.solve(np.zeros(len(u)), self._sides(posed.missing(u), active), posed.reference - u)
             u = np.where(fixed, u, u + more)
             proof = TreeProof(posed, factors, u, active, scale)
