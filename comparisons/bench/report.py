@@ -1,20 +1,19 @@
 """A bench to read: tables for a terminal and as Markdown from the same rows, and a plot."""
 
 import io
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table as Drawn
 
+from comparisons.bench.links_report import links_notes, links_tables
 from comparisons.bench.run import MINK, Bench, figures, programs
 from comparisons.bench.settings import ROBOT_LEVELS
+from comparisons.bench.shown import Shown, drawn_as
 from comparisons.bench.tracks import label
 from comparisons.bench.winding import APART, OURS
-from comparisons.drawn import as_markdown, blank
+from comparisons.drawn import as_markdown
 from prioritized_ik.errors import InputError
 from prioritized_ik.files import write_whole
 from prioritized_ik.validation import one_of
@@ -53,15 +52,6 @@ LEGEND = (
 )
 
 
-@dataclass(frozen=True)
-class Shown:
-    """One table: its title, columns (the first to the left, the others to the right) and rows."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
-
-
 def tables(bench: Bench) -> list[Shown]:
     """Return every table, ratios first."""
     told = figures(bench)
@@ -71,7 +61,7 @@ def tables(bench: Bench) -> list[Shown]:
         _kinds(told["winding"]["kinds"]),
         _parts(told["winding"]),
         _robots(told["robots"]),
-        _growth(bench),
+        *links_tables(bench.links),
         _first_calls(bench),
         _functions(bench),
         _floor(bench),
@@ -81,7 +71,7 @@ def tables(bench: Bench) -> list[Shown]:
 def show(bench: Bench, console: Console) -> None:
     """Print all tables, and what was not there."""
     for shown in tables(bench):
-        console.print(_drawn(shown))
+        console.print(drawn_as(shown))
     for line in notes(bench):
         console.print(escape(line), soft_wrap=True)
     console.print(escape(LEGEND))
@@ -92,7 +82,7 @@ def markdown(bench: Bench) -> str:
     told = figures(bench)
     lines = []
     for shown in tables(bench):
-        lines += [f"## {shown.title}", "", *as_markdown(_drawn(shown, markdown=True)), ""]
+        lines += [f"## {shown.title}", "", *as_markdown(drawn_as(shown, markdown=True)), ""]
     stated = ", ".join(f"{name} {version}" for name, version in told["versions"].items())
     return "\n".join([*lines, *notes(bench), "", LEGEND, "", f"{told['cpu']}; {stated}."]) + "\n"
 
@@ -100,7 +90,7 @@ def markdown(bench: Bench) -> str:
 def notes(bench: Bench) -> list[str]:
     """Return what was not there, what was left out, and by which path our steps were made."""
     lines = [f"{name} is not installed, so it is not compared: {how}." for name, how in bench.missing.items()]
-    lines += [f"Growth: {name} {why}." for name, why in bench.growth.left_out.items()]
+    lines += links_notes(bench.links)
     windings = bench.windings
     made = ", ".join(f"{count} by the path {path}" for path, count in windings.paths.items())
     steps, certified = windings.steps, windings.certified
@@ -149,7 +139,7 @@ def write_plot(path: Path, bench: Bench) -> None:
     bars.set_xlabel("time of a winding step / mink's p50")
     bars.set_xscale("log")
     bars.legend()
-    for name, seconds in bench.growth.seconds.items():
+    for name, seconds in bench.links.growth.seconds.items():
         growth.loglog(list(seconds), list(seconds.values()), marker="o", label=name)
     growth.set_xlabel("links of the arm")
     growth.set_ylabel("time of a step [s]")
@@ -166,13 +156,6 @@ def _write(path: Path, content: bytes) -> None:
         raise InputError(
             f"cannot write to {str(path)!r} ({error}); choose a folder that exists and is writable."
         ) from error
-
-
-def _drawn(shown: Shown, *, markdown: bool = False) -> Drawn:
-    drawn = blank(shown.columns, shown.columns[:1], title=shown.title, markdown=markdown)
-    for row in shown.rows:
-        drawn.add_row(*map(escape, row))
-    return drawn
 
 
 def _headlines(told: dict[str, Any]) -> Shown:
@@ -239,15 +222,6 @@ def _robots(told: dict[str, Any]) -> Shown:
                 )
             )  # fmt: skip
     return Shown("Robots, strict levels over mink's one", columns, rows)
-
-
-def _growth(bench: Bench) -> Shown:
-    growth = bench.growth
-    rows = [
-        (str(links), str(joints), *(_milli(seconds.get(links)) for seconds in growth.seconds.values()))
-        for links, joints in growth.joints.items()
-    ]
-    return Shown("Growth with the arm's links [ms]", ("links", "joints", *growth.seconds), rows)
 
 
 def _first_calls(bench: Bench) -> Shown:

@@ -10,12 +10,13 @@ import qpsolvers
 
 from comparisons.bench.clock import Times, quantile, ratio
 from comparisons.bench.first_call import FirstCall, measure_first_calls
-from comparisons.bench.growth import Growth, measure_growth
+from comparisons.bench.growth import Growth, exponent, measure_growth
+from comparisons.bench.lifted import LiftedTimes, measure_lifted
 from comparisons.bench.neighbours import PACKAGES, missing
 from comparisons.bench.profile import Profile, measure_profile
 from comparisons.bench.settings import ROBOT_LEVELS, BenchSettings
 from comparisons.bench.tracks import SOLVING, RobotTimes, label, measure_robots
-from comparisons.bench.winding import ALL, KINDS, NEAR, OURS, PARTS, WindingTimes, measure_windings
+from comparisons.bench.winding import KINDS, NEAR, OURS, PARTS, WindingTimes, measure_windings
 from comparisons.origin import cpu_model, versions
 from comparisons.settings import MINK_SOLVERS
 
@@ -25,19 +26,35 @@ DGELSY = "dgelsy"
 
 
 @dataclass(frozen=True)
+class LinksBench:
+    """What was measured of arms of several lengths.
+
+    Attributes:
+        settings: how much.
+        growth: see its module.
+        lifted: sparse solvers by name, see its module.
+    """
+
+    settings: BenchSettings
+    growth: Growth
+    lifted: dict[str, list[LiftedTimes]]
+
+
+@dataclass(frozen=True)
 class Bench:
     """What one bench measured.
 
     Attributes:
         settings: how much.
-        windings, robots, growth, first_calls, profile: see each one's module.
+        windings, robots, first_calls, profile: see each one's module.
+        links: arms of several lengths.
         missing: programs that are not installed, and how to get them.
     """
 
     settings: BenchSettings
     windings: WindingTimes
     robots: dict[str, RobotTimes]
-    growth: Growth
+    links: LinksBench
     first_calls: dict[str, FirstCall]
     profile: Profile
     missing: dict[str, str]
@@ -53,11 +70,37 @@ def run(settings: BenchSettings, tell: Callable[[str, int, int], object]) -> Ben
         settings,
         measure_windings(settings, tell),
         measure_robots(settings, tell),
-        measure_growth(settings, tell),
+        run_links(settings, tell),
         measure_first_calls(settings, tell),
         measure_profile(settings),
         absent,
     )
+
+
+def run_links(settings: BenchSettings, tell: Callable[[str, int, int], object]) -> LinksBench:
+    """Return what arms of several lengths take; `tell` as in `run`."""
+    return LinksBench(settings, measure_growth(settings, tell), measure_lifted(settings, tell))
+
+
+def links_figures(bench: LinksBench) -> dict[str, Any]:
+    """Return what was measured of arms of several lengths as JSON takes it."""
+    growth = bench.growth
+    exponents = {name: growth.exponent(name) for name in growth.seconds} | {"memory": exponent(growth.memory)}
+    return {
+        "growth": dataclasses.asdict(growth) | {"exponents": exponents},
+        "lifted": {name: [dataclasses.asdict(row) for row in rows] for name, rows in bench.lifted.items()},
+    }
+
+
+def links_alone(bench: LinksBench) -> dict[str, Any]:
+    """Return the same with what it was measured on."""
+    return {
+        "cpu": cpu_model(),
+        "versions": versions({"daqp": importlib.metadata.version("daqp")}),
+        "blas_threads": 1,
+        "settings": {name: getattr(bench.settings, name) for name in ("links", "largest_rival", "lifted", "lifted_steps")},
+        **links_figures(bench),
+    }
 
 
 def figures(bench: Bench) -> dict[str, Any]:
@@ -86,7 +129,7 @@ def figures(bench: Bench) -> dict[str, Any]:
             "gaps": {name: _gaps(found) for name, found in bench.windings.gaps.items()},
         },
         "robots": {name: _robot(robot) for name, robot in bench.robots.items()},
-        "growth": dataclasses.asdict(bench.growth),
+        **links_figures(bench.links),
         "first_calls": {name: dataclasses.asdict(call) for name, call in bench.first_calls.items()},
         "profile": dataclasses.asdict(bench.profile),
     }
@@ -205,6 +248,3 @@ def _versions(bench: Bench) -> dict[str, str]:
     wanted = ["daqp", *(package for name, package in PACKAGES.items() if name not in bench.missing)]
     wanted += [] if "mink (proxqp)" in bench.missing else ["proxsuite"]
     return {package: importlib.metadata.version(package) for package in wanted}
-
-
-__all__ = ["ALL", "Bench", "figures", "headlines", "kind_figures", "programs", "robot_ratio", "run", "worst"]

@@ -22,6 +22,7 @@ from winding_fixtures import recorded
 from comparisons import goals
 from comparisons.bench import command, neighbours, report, winding
 from comparisons.bench.clock import Times, quantile, ratio, rotated, timed
+from comparisons.bench.growth import WARM_TREE
 from comparisons.bench.rivals import Dgelsy, Mink, MinkOnRobot, in_one_level
 from comparisons.bench.run import Bench, figures, run
 from comparisons.bench.settings import ROBOT_LEVELS, BenchSettings
@@ -46,6 +47,8 @@ TINY = BenchSettings(
     tracks=1,
     track=2,
     links=(3, 4),
+    lifted=(4,),
+    lifted_steps=1,
     largest_rival=3,
     starts=1,
     profiled=3,
@@ -109,7 +112,7 @@ def test_every_program_part_and_robot_is_told_of(told: dict[str, Any]) -> None:
     assert len(ROBOTS) >= 5
     for robot in told["robots"].values():
         assert robot["levels"].keys() == {label(count) for count in ROBOT_LEVELS}
-    assert told["growth"]["seconds"][OURS].keys() == {"3", "4"}
+    assert told["growth"]["seconds"][WARM_TREE].keys() == {"3", "4"}
     assert all(call["peak"] is None or call["peak"] > 10.0 for call in told["first_calls"].values())
     assert told["profile"]["functions"]
     assert all(seconds > 0.0 for seconds in told["profile"]["floor"].values())

@@ -2,8 +2,8 @@
 
 MODULES = frozenset(
     """
-    bench campaign cli compiled conflict demonstrations distributed docs equation_audit every_backend exactness extras
-    facts hierarchies holding import_graph interruption isolation jobs lifted long_windings metrics native_backends
+    bench bench_links campaign cli compiled conflict demonstrations distributed docs equation_audit every_backend exactness
+    extras facts hierarchies holding import_graph interruption isolation jobs lifted long_windings metrics native_backends
     page_in_chromium paper paper_kinematics paper_solvers paper_windings qpbenchmark_set readme rendering rivals
     strict_winding survival torques tree_elimination tree_step viewer wind_own_robot witness
     """.split()

@@ -13,6 +13,10 @@ from prioritized_ik.solvers.backends.protocol import SolverFailedError
 from prioritized_ik.solvers.backends.sparse_qp import SparseAnswer
 from prioritized_ik.validation import Array
 
+#: Least regularisation of sparse QPs, whose equalities are dependent by nature, as links keep their lengths: with PIQP's
+#: own 1e-10 it runs into its iteration limit on 4 of 326 steps of a winding of 17 links, with this on 2.
+SPARSE_REGULARIZATION = 1e-8
+
 
 class PiqpWorkspace(Workspace):
     """One `piqp.DenseSolver`."""
@@ -42,6 +46,7 @@ class PiqpWorkspace(Workspace):
 def solve_sparse(problem: qpsolvers.Problem, options: Options) -> SparseAnswer:
     """Return the answer to one sparse QP, see `sparse_qp`."""
     solver = piqp.SparseSolver()
+    solver.settings.reg_lower_limit = SPARSE_REGULARIZATION
     for name, value in options.items():
         setattr(solver.settings, name, value)
     sides = {"x_l": problem.lb, "x_u": problem.ub}
