@@ -60,18 +60,20 @@ def build(root: Path) -> list[Path]:
     if command is None:
         raise RuntimeError("no C++ compiler: set CXX, or install g++, clang++ or the wheel ziglang")
     source = f'-DPRIORITIZED_IK_SOURCE="{digest(folder)}"'
-    made = []
-    for name, flags in VARIANTS.items():
-        library = folder / f"core-{name}.so"
-        whole = [*command, *FLAGS, *_translated(flags, command), source, str(folder / "core.cpp"), "-o", str(library)]
-        try:
-            done = subprocess.run(whole, capture_output=True, text=True, check=False)
-        except OSError as error:
-            raise RuntimeError(f"{command[0]} does not run ({error})") from error
-        if done.returncode:
-            raise RuntimeError(f"{shlex.join(command)} failed: {(done.stderr or done.stdout).strip()[:2000]}")
-        made.append(library)
-    return made
+    running: list[tuple[Path, subprocess.Popen[str]]] = []  # all at once
+    try:
+        for name, flags in VARIANTS.items():
+            library = folder / f"core-{name}.so"
+            whole = [*command, *FLAGS, *_translated(flags, command), source, str(folder / "core.cpp"), "-o", str(library)]
+            compiling = subprocess.Popen(whole, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+            running.append((library, compiling))
+    except OSError as error:
+        raise RuntimeError(f"{command[0]} does not run ({error})") from error
+    messages = [compiling.communicate()[0] for _, compiling in running]
+    for message, (_, compiling) in zip(messages, running, strict=True):
+        if compiling.returncode:
+            raise RuntimeError(f"{shlex.join(command)} failed: {message.strip()[:2000]}")
+    return [library for library, _ in running]
 
 
 def _translated(flags: tuple[str, ...], command: list[str]) -> list[str]:

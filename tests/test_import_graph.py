@@ -4,6 +4,7 @@ import ast
 import importlib
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ ROOT = Path(prioritized_ik.__file__).parent
 LAYERS = [
     {"errors", "tolerances", "late"},
     {"validation", "files", "rendering", "extras"},
-    {"pictures", "processes", "kinematic_tree", "model_cache"},
+    {"pictures", "processes", "kinematic_tree", "model_cache", "mujoco_functions"},
     {"models", "jacobians", "model_tree"},
     {"virtual_arms"},
     {"touch", "problem", "weights"},
@@ -28,7 +29,7 @@ LAYERS = [
     {"tasks", "guard", "examples"},
     {"joint_limits", "collision", "support", "model_equalities"},
     {"solvers"},
-    {"curvature", "live"},
+    {"curvature", "live", "posing"},
     {"motion"},
     {"reaching"},
     {"scene"},
@@ -48,6 +49,7 @@ FOLD = (
 RANK = {part: rank for rank, layer in enumerate(LAYERS) for part in layer}
 
 
+@cache
 def _sources() -> dict[str, str]:
     """Every module's dotted name below the package, and its text; the package's own lazy `__init__` aside."""
     names = {}
@@ -59,6 +61,7 @@ def _sources() -> dict[str, str]:
     return names
 
 
+@cache
 def _imported(module: str, text: str) -> set[str]:
     """Absolute dotted names that a module's text imports, at whatever depth the statement stands."""
     found: set[str] = set()

@@ -25,9 +25,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.limits import limited_scalars
+from prioritized_ik.mujoco_functions import mujoco_functions
 from prioritized_ik.robot import Frame
 from prioritized_ik.solvers.compiled.library import library
-from prioritized_ik.solvers.compiled.mujoco_functions import mujoco_functions
 from prioritized_ik.tasks.turns import turn_between
 from prioritized_ik.validation import Array, finite_array
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.limits import OUTSIDE, contact_row_name, joint_names, limited_scalars
+from prioritized_ik.mujoco_functions import mujoco_functions
 from prioritized_ik.packed import Layout, PackedProblem
 from prioritized_ik.problem import Bounds, IKProblem, Rows, trusted
 from prioritized_ik.solvers.compiled.library import library
-from prioritized_ik.solvers.compiled.mujoco_functions import mujoco_functions
 from prioritized_ik.touch import TouchSensor
 from prioritized_ik.validation import LARGEST, Array
 from prioritized_ik.virtual_arms import VirtualArms
