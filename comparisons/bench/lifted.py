@@ -90,7 +90,7 @@ def winding(links: int) -> WindingSettings:
     touch: dict[str, Any] = dict(in_proportion(length))
     return WindingSettings(
         arm=Arm(links=links, link_length=length, radius=0.004), link=links // 3, size=(0.03, 0.5), tilt=0.2,
-        weights="trailing", options=SolveOptions(kinematics="tree"), **touch,
+        posture="random", weights="trailing", options=SolveOptions(kinematics="tree"), **touch,
     )  # fmt: skip
 
 

@@ -17,9 +17,9 @@ LEGEND = (
     "certified: closed form without any limit, and warm with limits and contacts active, of which active says how many. "
     "Apart: of their steps, relative. Memory: the most that one step by links allocates. The exponent is b of a n^b, "
     f"fitted by least squares to links from {FITTED[0]} to {FITTED[1]}. A time in brackets is of a step without a "
-    "certificate that holds. Sparse solvers: steps of windings, 17 links as in the paper, more around a thin post; guess: "
-    "from the posed problem to the solver's own answer; step: to the certified one; gap: how much more the answer costs in "
-    "level 1, relative to not moving."
+    "certificate that holds. Sparse solvers: steps of windings, 17 links as in the paper, more of them a little bent and "
+    "around a thin post; guess: from the posed problem to the solver's own answer; step: to the certified one; gap: how "
+    "much more the answer costs in level 1, relative to not moving."
 )
 
 
