@@ -1,4 +1,4 @@
-"""Joint range, step and contact limits, as bounds and rows of which dθ = 0 is always a member."""
+"""Joint range, step and contact limits, as bounds and rows that dθ = 0 keeps, but for links to be pushed out."""
 
 import weakref
 
@@ -14,7 +14,10 @@ from prioritized_ik.validation import Array, distinct, finite_array, gain_of, no
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 OUTSIDE = 1e-4  # [rad] a joint this far outside its range is rounding of accepted steps; further is an error
 
-CONTACT_MARGIN = 0.05  # [m] only links nearer to the object than this get a contact row
+CONTACT_MARGIN = 0.05  # [m] links nearer to the object than this get a contact row
+CONTACT_GAIN = 0.25  # of a gap that one step may close; the rest is left to the curvature of steps
+PUSH_OUT = 5e-3  # [m] how far a link that is too close comes out in one step: 0.5 m/s in steps of 10 ms
+AHEAD = 2.0  # steps as fast as any before, within which a link may reach the object
 
 #: Names of joints by model: they cannot change, and asking MuJoCo for each takes longer than all else here.
 _NAMES: weakref.WeakKeyDictionary[mujoco.MjModel, tuple[str, ...]] = weakref.WeakKeyDictionary()
@@ -137,17 +140,19 @@ def contact_rows(
     touch: Touch,
     *,
     min_distance: float = 0.0,
-    gain: float = 1.0,
+    gain: float = CONTACT_GAIN,
     margin: float = CONTACT_MARGIN,
-    push_out: float = 0.0,
+    ahead: float = AHEAD,
+    push_out: float = PUSH_OUT,
     max_step: float | None = None,
 ) -> Rows:
-    """Return rows that keep links from coming closer than `min_distance` to the object.
+    """Return rows that keep links from coming closer than `min_distance` to the object, and bring back those that are.
 
-    n·J_c dθ >= -gain max(d - d_min, 0), with n the normal into the link and J_c the Jacobian of the link's nearest point
-    less that of the object's: n·J_c is the gradient of the distance. The right side is never positive, so dθ = 0 always
-    holds. Rows are of first order, so a link that presses on the object sinks in by what its steps curve; `push_out` brings
-    it back: where d < d_min the right side is min(d_min - d, `push_out`), and no step may do with less.
+    n·J_c dθ >= -gain (d - d_min) where d >= d_min, and >= min(d_min - d, `push_out`) where a link is too close, with n the
+    normal into the link and J_c the Jacobian of the link's nearest point less that of the object's: n·J_c is the gradient
+    of the distance d. Rows are of first order: what a step curves takes a link that presses or slides closer than they say
+    (millimetres in steps of 0.1 rad, centimetres in steps of 0.3 rad), and `push_out` brings it back. Without `push_out` no
+    right side is positive, so that dθ = 0 always holds, and a link stays as deep as it is.
 
     Args:
         sensor: knows the model, the links and the object.
@@ -155,19 +160,22 @@ def contact_rows(
         touch: the sensor's reading at that state.
         min_distance: d_min [m].
         gain: how much of the remaining gap one step may close, in (0, 1].
-        margin: only links nearer than this get a row [m].
+        margin: links nearer than this get a row [m].
+        ahead: so do links that would be at the object within so many steps as fast as the sensor has seen any; all in its
+            reach where it has seen none. 0 for those within `margin` alone, which a longer step can jump over.
         push_out: how far a link that is too close has to come out in one step, at most [m]. Rows that ask for motion can
             contradict other limits: `InfeasibleError` then names them.
         max_step: of every joint [rad, m for slides]; links get a row as well that such a step can bring to the object,
-            however far from it they are. Without it a step longer than `margin` can jump into the object.
+            however far from it they are, and however slow they were.
 
     Raises:
         InputError: a value out of range.
     """
     gain_of("gain", gain)
-    non_negative("min_distance", min_distance)
-    non_negative("push_out", push_out)
-    near = np.flatnonzero(touch.distance < (positive("margin", margin) if max_step is None else sensor.reach))
+    for name, value in (("min_distance", min_distance), ("ahead", ahead), ("push_out", push_out)):
+        non_negative(name, value)
+    watched = max(positive("margin", margin), min_distance + _soon(touch, ahead))
+    near = np.flatnonzero(touch.distance < (watched if max_step is None else sensor.reach))
     distance, normal, point = touch.distance[near], touch.normal[near], touch.point[near]
     gradients = sensor.jacobians.at(data, point, near)
     if sensor.object_moves:
@@ -175,7 +183,7 @@ def contact_rows(
         gradients -= sensor.jacobians.at(data, opposite, np.full(near.size, len(touch.distance)))
     if max_step is not None:
         travel = positive("max_step", max_step) * np.linalg.norm(gradients, axis=1).sum(axis=1)
-        some = distance < np.maximum(positive("margin", margin), travel + min_distance)
+        some = distance < np.maximum(watched, travel + min_distance)
         near, distance, normal, gradients = near[some], distance[some], normal[some], gradients[some]
     matrix = (-normal[:, None, :] @ gradients)[:, 0]
     gap = distance - min_distance
@@ -184,3 +192,10 @@ def contact_rows(
         upper = np.where(gap < 0.0, np.maximum(gap, -push_out), upper)
     names = tuple(contact_row_name(link + 1, sensor.object_name) for link in near.tolist())
     return trusted(Rows, matrix=matrix, upper=upper, names=names)
+
+
+def _soon(touch: Touch, ahead: float) -> float:
+    """Return how much nearer links may come within `ahead` steps like the fastest yet [m]."""
+    if not ahead:
+        return 0.0
+    return np.inf if touch.approach is None else ahead * touch.approach

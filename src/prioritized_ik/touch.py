@@ -28,15 +28,20 @@ class Touch:
         distance: between link and object `(n,)` [m], negative in penetration.
         normal: unit vectors from the object into the link at the nearest points `(n, 3)`; zero beyond the reach.
         point: the nearest point on each link `(n, 3)` [m]; of no meaning beyond the reach.
+        approach: the most that a link came nearer from one of the sensor's readings to the next, so far [m]; None at its
+            first.
     """
 
     distance: Array
     normal: Array
     point: Array
+    approach: float | None = None
 
 
 class TouchSensor:
     """Reads `Touch` for links that are capsules or spheres, whose normals stay exact down to zero distance.
+
+    It remembers how fast links came nearer, for `contact_rows`: take one sensor a robot.
 
     Args:
         model: the MuJoCo model.
@@ -80,6 +85,8 @@ class TouchSensor:
         self.jacobians = PointJacobians(model, [*self.bodies, self.object_body])
         self.object_moves = self.jacobians.moves(len(self.bodies))
         self._is_capsule = model.geom_type[self.links] == _CAPSULE
+        self._last: Array | None = None  # distances of the reading before
+        self._approach: float | None = None
         self.half_lengths = np.where(self._is_capsule, model.geom_size[self.links, 1], 0.0)  # (n,) [m]
 
     def read(self, data: mujoco.MjData) -> Touch:
@@ -98,7 +105,14 @@ class TouchSensor:
         inward = centre + along[:, None] * axis - point
         size = np.sqrt((inward * inward).sum(axis=1))
         size[distance >= self.reach] = np.inf
-        return Touch(distance, inward / size[:, None], point)
+        return Touch(distance, inward / size[:, None], point, self._approached(distance))
+
+    def _approached(self, distance: Array) -> float | None:
+        """Return the most that a link came nearer from one reading to the next, this one included."""
+        if self._last is not None:
+            self._approach = max(self._approach or 0.0, float((self._last - distance).max(initial=0.0)))
+        self._last = distance.copy()
+        return self._approach
 
 
 def update_contact(

@@ -112,17 +112,20 @@ def test_contact_rows_with_the_normal_reversed_fail_the_finite_difference_check(
 
 @pytest.mark.parametrize("shape", OBJECTS)
 @pytest.mark.parametrize("gap", [0.02, 1e-3, 0.0, -5e-3, -0.02])
-def test_no_step_is_always_a_member_even_in_penetration(shape: str, gap: float) -> None:
+def test_without_push_out_no_step_is_always_a_member_even_in_penetration(shape: str, gap: float) -> None:
     for min_distance in (0.0, 1e-3):
-        rows = Scene(shape, gap).rows(min_distance=min_distance, gain=0.5)
+        rows = Scene(shape, gap).rows(min_distance=min_distance, gain=0.5, push_out=0.0)
         assert len(rows.upper) > 0
         assert np.all(rows.upper >= 0.0)
 
 
-def test_a_link_nearer_than_the_least_distance_may_not_come_nearer_at_all() -> None:
+def test_a_link_nearer_than_the_least_distance_comes_out_and_without_push_out_may_not_come_nearer_at_all() -> None:
     scene = Scene("cylinder", gap=-5e-3)
-    nearest = int(scene.read().distance.argmin())
-    assert scene.rows(margin=1.0).upper[nearest] == 0.0
+    distance = scene.read().distance
+    nearest = int(distance.argmin())
+    assert scene.rows(margin=1.0, push_out=0.0).upper[nearest] == 0.0
+    assert scene.rows(margin=1.0, push_out=2e-3).upper[nearest] == -2e-3
+    assert scene.rows(margin=1.0, push_out=1.0).upper[nearest] == distance[nearest]
 
 
 def test_a_step_along_a_row_closes_at_most_the_gain_of_the_gap() -> None:
@@ -142,7 +145,7 @@ def test_only_links_within_the_margin_get_a_row_and_its_name() -> None:
 
 
 def test_without_a_link_within_the_margin_there_is_no_row() -> None:
-    assert Scene("sphere", gap=0.05).rows(margin=1e-3).matrix.shape == (0, ARM.joint_count)
+    assert Scene("sphere", gap=0.05).rows(margin=1e-3, ahead=0.0).matrix.shape == (0, ARM.joint_count)
 
 
 def test_a_link_is_not_held_by_joints_beyond_it() -> None:

@@ -160,7 +160,17 @@ class ChainController:
             dead_band=settings.dead_band,
         )
         positions = self.arms.positions(self.data)
-        for array in (*vars(touch).values(), positions, directions, in_contact, contact_vectors, desired, signs):
+        for array in (
+            touch.distance,
+            touch.normal,
+            touch.point,
+            positions,
+            directions,
+            in_contact,
+            contact_vectors,
+            desired,
+            signs,
+        ):
             array.setflags(write=False)
         return Situation(positions, directions, touch, in_contact, contact_vectors, first, last, desired, signs)
 
@@ -222,6 +232,9 @@ class ChainController:
                 situation.touch,
                 min_distance=settings.min_distance,
                 gain=settings.contact_gain,
+                margin=CONTACT_MARGIN,
+                ahead=0.0,
+                push_out=0.0,  # Sec. 4.2 asks for no motion away from the object
             )
         return self.arms.jacobian(self.data), situation.desired.flatten(), bounds, rows
 
