@@ -12,9 +12,10 @@ from repository import ROOT
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 GALLERY = ROOT / "docs" / "gallery"
+MINUTES = {"long_arm"}  # what takes too long to be run with all tests; test_long_windings.py winds shorter arms alike
 
 
-@pytest.mark.parametrize("script", EXAMPLES, ids=lambda script: script.stem)
+@pytest.mark.parametrize("script", [one for one in EXAMPLES if one.stem not in MINUTES], ids=lambda script: script.stem)
 def test_an_example_runs_and_draws_its_picture(renders: None, script: Path, tmp_path: Path) -> None:
     environment = os.environ | {"MPLBACKEND": "agg"}
     command = [sys.executable, "-W", "error", str(script)]
