@@ -124,7 +124,7 @@ TESTS = {
     ),
     "pressing": (
         "a_link_40_mm_deep_comes_out_by_no_more_than_is_asked_of_a_step",
-        "pressing_for_600_steps_a_link_that_is_pushed_out_comes_to_rest_at_the_surface",
+        "pressing_for_600_steps_a_link_comes_to_rest_at_the_surface",
         "without_push_out_it_stays_as_deep_as_its_curvature_took_it",
     ),
     "recording": ("a_recording_is_read_as_it_was_written_to_the_last_bit",),
