@@ -3,9 +3,10 @@ import pickle
 
 import numpy as np
 import pytest
-from trees import ball_chain, random_problem, random_tree
+from trees import ball_chain, random_problem, random_tree, rotation
 
 from prioritized_ik.errors import InputError
+from prioritized_ik.kinematic_tree import KinematicTree
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.certificate import certify
 from prioritized_ik.solvers.lexicographic import SolveOptions
@@ -320,3 +321,20 @@ def test_with_a_rank_tolerance_steps_are_those_of_matrices(first):
 
 def test_options_travel(proven):
     assert dataclasses.asdict(ALONG_LINKS)["kinematics"] == "tree"
+
+
+@pytest.mark.parametrize(
+    ("bend", "seed", "turned"), [(4e-11, 2, True), (1e-11, 1, True), (4e-11, 1, True), (1e-11, 1, False)]
+)
+def test_a_step_of_a_nearly_straight_arm_that_is_proven_keeps_its_limits(bend, seed, turned):
+    rng = np.random.default_rng(seed)
+    tree = ball_chain(rng, 20, bend=bend)
+    if turned:
+        turn = rotation(rng.normal(size=3))
+        tree = KinematicTree(tree.parents, tree.angular @ turn.T, tree.linear, tree.anchors @ turn.T)
+    problem = random_problem(rng, tree, 2, contacts=4, bound=0.05)
+    step = get_method("active-set").step(problem, SolveOptions(kinematics="tree"))
+    if step.dtheta is not None and step.status is not StepStatus.UNCERTIFIED:
+        over = max(np.max(step.dtheta - problem.bounds.upper), np.max(problem.bounds.lower - step.dtheta))
+        broken = np.max(problem.rows.matrix @ step.dtheta - problem.rows.upper)
+        assert max(over, broken) <= 1e-8 * np.linalg.norm(step.dtheta)

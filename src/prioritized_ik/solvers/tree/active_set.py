@@ -49,7 +49,7 @@ class Search:
     def __init__(self, posed: PosedOnTree) -> None:
         self.posed, self._factors = posed, posed.factors
         self._frozen = posed.lower == posed.upper
-        self._closed_form_length: float | None = None
+        self._least: float | None = None
         self._factored: tuple[bytes, bool] | None = None  # the face that is factored, and whether its ranks are clear
 
     def nothing(self) -> ActiveSet:
@@ -125,7 +125,6 @@ class Search:
         u = self.face(active)
         if u is None:
             return None, None
-        self._closed_form_length = length(u)
         scale = self._scale(u, active)
         if self._worst(u) < -FREE * scale:
             return None, u
@@ -230,18 +229,20 @@ class Search:
         return min(room, float(posed.slack(u).min(initial=np.inf)))
 
     def _scale(self, u: Array, active: ActiveSet) -> float:
-        """Return what figures of a step are relative to, see `Hierarchy.scale`; the face of `active` stays factored."""
+        """Return what figures of a step are relative to: its length, or a share of the least that a level asks for.
+
+        Not of the closed form's length, as `Hierarchy.scale`: nearly straight arms make that 1e13 rad here, and a step
+        relative to it might break any limit.
+        """
         size = length(u)
-        if self._closed_form_length is None:
+        if self._least is None:
             numbers = range(1, len(self.posed.parts))
             wanted, strength = max(map(self.posed.demand, numbers)), max(map(self.posed.strength, numbers))
             if size * strength > LONG * wanted:
                 return size
-            free = self.face(self.nothing())
             asked = [self.posed.demand(i) / self.posed.strength(i) for i in numbers if self.posed.strength(i) > 0.0]
-            self._closed_form_length = max(0.0 if free is None else length(free), *asked)
-            self._factor(active)
-        return max(size, FLOOR * self._closed_form_length) or 1.0
+            self._least = max(0.0, *asked)
+        return max(size, FLOOR * self._least) or 1.0
 
 
 def _without_pulling(proof: TreeProof, active: ActiveSet) -> ActiveSet:
