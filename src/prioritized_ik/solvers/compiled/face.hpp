@@ -150,7 +150,7 @@ class Face : public Factored {
     // rows so that those of the lowest come first and are independent there, and the ones after them are zero there, and so on
     // upwards: level l meets the rows from shares_[l + 1] to shares_[l]. What x_ says already goes to the sides.
     void share(double* rows, double* sides, int t, int first) {
-        const int levels = now_.levels, start = first < levels ? levels_[first].start : rest_;
+        const int levels = now_.levels, start = start_of(first);
         for (int l = first; l <= levels + 1; l++) shares_[l] = l > first ? 0 : t;
         if (!t) return;
         Scope scope(arena_);
