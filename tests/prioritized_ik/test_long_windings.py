@@ -8,7 +8,11 @@ from click.testing import CliRunner
 
 from prioritized_ik.cli import main
 from prioritized_ik.models import Arm
+from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.methods import ActiveSet, Place
+from prioritized_ik.solvers.step import JointStep
+from prioritized_ik.solvers.tree.step import PATH
 from prioritized_ik.winding.cameras import FIELD, cameras, shown_part
 from prioritized_ik.winding.episode import Episode, Outcome, wind
 from prioritized_ik.winding.metrics import measure
@@ -18,23 +22,43 @@ LENGTH = 1.02  # [m] of every arm, as of the paper's
 CERTIFIED = {"SOLVED", "CLOSED_FORM"}
 
 
-@cache
-def wound(links: int) -> Episode:
+def settings(links: int) -> WindingSettings:
     length = LENGTH / links
-    return wind(
-        WindingSettings(
-            arm=Arm(links=links, link_length=length, radius=0.005),
-            link=round(links * 6 / 17),
-            size=(0.03, 0.5),
-            tilt=0.2,
-            weights="trailing",
-            options=SolveOptions(rank_tolerance=0.0),
-            **in_proportion(length),
-        )
+    return WindingSettings(
+        arm=Arm(links=links, link_length=length, radius=0.005),
+        link=round(links * 6 / 17),
+        size=(0.03, 0.5),
+        tilt=0.2,
+        weights="trailing",
+        options=SolveOptions(rank_tolerance=0.0),
+        **in_proportion(length),
     )
 
 
-@pytest.mark.parametrize("links", [34, 68])
+class Noting(ActiveSet):
+    """The kernel; it notes which form makes its steps."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.paths: list[str] = []
+
+    def step(self, problem: IKProblem, options: SolveOptions | None = None, place: Place | None = None) -> JointStep:
+        step = super().step(problem, options, place)
+        self.paths.append(step.path)
+        return step
+
+
+@cache
+def wound_and_how(links: int) -> tuple[Episode, list[str]]:
+    method = Noting()
+    return wind(settings(links), method), method.paths
+
+
+def wound(links: int) -> Episode:
+    return wound_and_how(links)[0]
+
+
+@pytest.mark.parametrize("links", [34, 68, 136])
 def test_arms_that_trail_wind_almost_three_turns_around_a_thin_object(links):
     episode = wound(links)
     told = measure(episode)
@@ -45,6 +69,14 @@ def test_arms_that_trail_wind_almost_three_turns_around_a_thin_object(links):
     assert told.bend < 0.9  # [rad]; an arm that folds up beside the object bends by more
     assert told.drift < 1e-3
     assert set(episode.status) <= CERTIFIED
+
+
+@pytest.mark.parametrize("links", [68, 136])
+def test_every_step_of_a_long_winding_goes_along_links_whatever_rows_hold(links):
+    episode, paths = wound_and_how(links)
+    assert len(paths) == episode.steps
+    assert set(paths) == {PATH}
+    assert "SOLVED" in episode.status  # rows hold some
 
 
 def test_long_windings_are_recorded_without_any_matrix():

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from trees import ball_chain, random_problem, random_tree, rotation
+from trees import ball_chain, random_problem, random_tree, rotation, unit
 
 from prioritized_ik.kinematic_tree import KinematicTree, PointRows
 from prioritized_ik.problem import IKProblem
@@ -13,7 +13,7 @@ from prioritized_ik.solvers.tree.certificate import ActiveSet
 from prioritized_ik.solvers.tree.elimination import Elimination
 from prioritized_ik.solvers.tree.factors import Ending
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.tree_problem import TreeRows
+from prioritized_ik.tree_problem import TreeLevel, TreeRows
 
 EXACT = 1e-9  # [of the step] what both forms may differ by; random arms have singular values down to 1e-5 of the largest
 
@@ -166,6 +166,38 @@ def test_arms_that_are_nearly_straight_are_as_exact_as_others(form, bend, turned
     assert elimination.ranks[1:] == [block.spectrum.kept.size for block in hierarchy.blocks]
     u = elimination.solve(np.zeros(problem.joint_count), posed.sides, posed.reference)
     np.testing.assert_allclose(u, hierarchy.closed_form, atol=EXACT * np.linalg.norm(u))
+
+
+@pytest.mark.parametrize("form", [Elimination, pytest.param(CompiledElimination, marks=compiled)])
+@pytest.mark.parametrize("first", [0, 1, 2])
+def test_rows_that_are_held_leave_a_level_the_rank_that_singular_values_say_however_straight_the_arm(form, first):
+    # Points keep their distances, so that most rows depend on others, and those held on the level's too.
+    clear = 0
+    for seed in range(first, 15, 3):
+        rng = np.random.default_rng(seed)
+        bend = 10.0 ** rng.uniform(-12, -2) if seed % 2 else 0.0
+        tree = ball_chain(rng, 30, bend=bend, kinks=seed % 4, turned=True)
+        ends = np.arange(2, 87, 3)
+        points = PointRows.along_axes(tree, ends, tree.anchors[ends + 1], np.eye(3))
+        level = points[np.arange(3 * rng.integers(10, 29))]
+        joints = np.sort(rng.choice(np.arange(5, 87, 3), size=3, replace=False))
+        held = PointRows(tree, joints, tree.anchors[joints + 1], np.array([unit(rng) for _ in joints]))
+        problem = IKProblem([TreeLevel(level, np.zeros(len(level)))], rows=TreeRows(held, np.zeros(3)))
+        rows = held.matrix / np.linalg.norm(held.matrix, axis=1, keepdims=True)
+        left = np.linalg.svd(rows)[2][3:].T
+        sizes = np.linalg.norm(level.matrix, axis=1, keepdims=True)
+        values = np.linalg.svd(level.matrix @ left / np.where(sizes > 0.0, sizes, 1.0), compute_uv=False)
+        rank = int(np.count_nonzero(values > 1e-12))
+        if values[rank - 1] < 1e-8:  # it is clear neither way
+            continue
+        posed, clear = PosedOnTree(problem), clear + 1
+        elimination = form(posed.on_joints)
+        assert (
+            elimination.factor(np.zeros(tree.joint_count, dtype=bool), np.ones(len(posed.level), dtype=bool))
+            is Ending.CLEAR
+        )
+        assert elimination.ranks == [3, rank], seed
+    assert clear > 3
 
 
 @compiled

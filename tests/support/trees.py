@@ -44,12 +44,20 @@ def random_tree(rng: np.random.Generator, joints: int, *, branching: float = 0.0
     return KinematicTree(parents, angular, linear, anchors)
 
 
-def ball_chain(rng: np.random.Generator, links: int, bend: float = 0.5, length: float = 0.06) -> KinematicTree:
-    """Return the tree of the paper's kind of arm: three hinges about orthogonal axes a link, one for the last."""
-    turn, at = np.eye(3), np.zeros(3)
+def ball_chain(
+    rng: np.random.Generator, links: int, bend: float = 0.5, length: float = 0.06, kinks: int = 0, turned: bool = False
+) -> KinematicTree:
+    """Return the tree of the paper's kind of arm: three hinges about orthogonal axes a link, one for the last.
+
+    Links are bent by about `bend` [rad], of those after the first quarter so many as `kinks` says by about 0.3; if it is
+    `turned`, the arm lies along no axis of the world.
+    """
+    start = rotation(rng.normal(size=3)) if turned else np.eye(3)
+    kinked = rng.choice(np.arange(links // 4, links), size=kinks, replace=False) if kinks else ()
+    turn, at = start, np.zeros(3)
     axes, anchors = [], []
     for link in range(links):
-        turn = turn @ rotation(rng.normal(size=3) * bend)
+        turn = turn @ rotation(rng.normal(size=3) * (0.3 if link in kinked else bend))
         axes += list(turn.T[::-1]) if link + 1 < links else [turn[:, 2]]
         anchors += [at.copy()] * (3 if link + 1 < links else 1)
         at = at + length * turn[:, 0]

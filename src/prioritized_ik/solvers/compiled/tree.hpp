@@ -33,7 +33,7 @@ class TreeElimination {
             if (level.sorted.empty()) continue;
             sort(level);
             if (used_.empty()) level.start(in_, stages_);
-            else level.start(levels_[used_.back()]);
+            else level.start(levels_[used_.back()], in_, stages_);
             level.factor(in_, stages_);
             used_.push_back(number);
             left -= level.rank;

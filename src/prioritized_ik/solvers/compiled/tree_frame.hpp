@@ -108,6 +108,29 @@ class Frame {
         inputs = at;
     }
 
+    // Parts every step by the rows, if any; returns how many directions these decide.
+    int part(const TreeInput& in, const Stages& stages) {
+        pool_.clear();
+        most_ = 0;
+        int decided = 0, at = 0;
+        starts_.assign(stages.all.size() + 1, 0);
+        for (int row : sorted) starts_[stages.of_joint[in.row_joints[row]] + 1]++;
+        for (size_t n = 0; n < stages.all.size(); n++) starts_[n + 1] += starts_[n];
+        for (size_t k = 0; k < steps.size(); k++) {
+            LevelStep& step = steps[k];
+            if (step.stage >= 0) step.own = starts_[step.stage], step.own_end = starts_[step.stage + 1];
+            step.e_at = decided;
+            part(in, stages, step, k ? &steps[k - 1] : nullptr);
+            most_ = max(most_, max(step.width(), padded(step.d)));
+            decided += step.decided;
+        }
+        for (size_t k = steps.size(); k-- > 0;) {
+            steps[k].f_at = at;
+            at += steps[k].turned();
+        }
+        return decided;
+    }
+
     // z -> e, f; f in the order of the frame below.
     void split(const double* z, double* e, double* f) {
         double *w = buffer(most_), *out = w + most_;
@@ -117,7 +140,7 @@ class Frame {
             const double* turn = pool_.data() + step.turn;
             for (int i = 0; i < step.before; i++) add(w[i], turn + size_t(i) * width, out, width);
             for (int i = step.before; i < c; i++) add(z[step.in_at + i - step.before], turn + size_t(i) * width, out, width);
-            copy(out, e + step.e_at, step.decided);
+            if (step.decided) copy(out, e + step.e_at, step.decided);
             copy(out + step.decided, w, step.left);
             copy(out + step.decided + step.left, f + step.f_at, step.turned());
         }
@@ -140,6 +163,11 @@ class Frame {
                 else z[step.in_at + i - step.before] = value;
             }
         }
+    }
+
+    size_t memory() const {
+        return sizeof(double) * (pool_.capacity() + twists_.capacity() + first_axes_.capacity() + work_.capacity()) +
+               sizeof(LevelStep) * steps.capacity() + sizeof(int) * (sorted.capacity() + starts_.capacity());
     }
 
   protected:
@@ -311,6 +339,7 @@ class Frame {
     }
 
     int most_ = 0;  // numbers of a step
+    std::vector<int> starts_;
     std::vector<double> pool_, twists_, first_axes_, work_, buffer_, vector_, zeros_, scales_, spread_, other_spread_;
 };
 

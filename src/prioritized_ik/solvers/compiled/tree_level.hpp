@@ -12,31 +12,45 @@ class Level : public Frame {
 
     static constexpr double NEAR = 1e-10;  // of elimination.py
 
+    // The frame of what a level leaves, turned so that it flows outwards.
+    void start(const Level& above, const TreeInput& in, const Stages& stages) {
+        is_turned_ = true;
+        turn_.start(above);
+        turn_.part(in, stages);
+        Frame::start(turn_);
+    }
+
+    void start(const TreeInput& in, const Stages& stages) {
+        is_turned_ = false;
+        Frame::start(in, stages);
+    }
+
     // Parts every step by rows `sorted`, and factors these.
     void factor(const TreeInput& in, const Stages& stages) {
         stages_ = &stages;
-        pool_.clear(), tape_.clear();
-        rank = most_ = most_rows_ = 0, strongest = 0.0, weakest = INFINITE;
-        int next = 0;
-        std::vector<int>& from = starts_;
-        from.assign(stages.all.size() + 1, 0);
-        for (int row : sorted) from[stages.of_joint[in.row_joints[row]] + 1]++;
-        for (size_t n = 0; n < stages.all.size(); n++) from[n + 1] += from[n];
-        for (size_t k = 0; k < steps.size(); k++) {
-            LevelStep& step = steps[k];
-            if (step.stage >= 0) step.own = from[step.stage], step.own_end = from[step.stage + 1];
-            step.e_at = next;
-            part(in, stages, step, k ? &steps[k - 1] : nullptr);
-            most_ = max(most_, max(step.width(), padded(step.d)));
-            next += step.decided;
+        tape_.clear();
+        most_rows_ = 0, strongest = 0.0, weakest = INFINITE;
+        rank = part(in, stages);
+        int n = 0;
+        for (size_t k = steps.size(); k-- > 0;) n = triangle(in, steps[k], n);
+    }
+
+    // z -> e, f, of the frame before it was turned; see `Frame::split`.
+    void split(const double* z, double* e, double* f) {
+        if (is_turned_) {
+            turned_.resize(inputs);
+            turn_.split(z, nullptr, turned_.data());
+            z = turned_.data();
         }
-        rank = next;
-        int n = 0, at = 0;
-        for (size_t k = steps.size(); k-- > 0;) {
-            n = triangle(in, steps[k], n);
-            steps[k].f_at = at;
-            at += steps[k].turned();
-        }
+        Frame::split(z, e, f);
+    }
+
+    // e, f -> z, of the frame before it was turned; zero where null.
+    void join(const double* e, const double* f, double* z) {
+        if (!is_turned_) return Frame::join(e, f, z);
+        turned_.resize(inputs);
+        Frame::join(e, f, turned_.data());
+        turn_.join(nullptr, turned_.data(), z);
     }
 
     // Q^T of right-hand sides (k).
@@ -180,10 +194,7 @@ class Level : public Frame {
         return count;
     }
 
-    size_t memory() const {
-        return sizeof(double) * (pool_.capacity() + tape_.capacity() + twists_.capacity() + first_axes_.capacity() + work_.capacity()) +
-               sizeof(LevelStep) * steps.capacity() + sizeof(int) * (sorted.capacity() + starts_.capacity());
-    }
+    size_t memory() const { return Frame::memory() + turn_.memory() + sizeof(double) * tape_.capacity(); }
 
   private:
     static void reflect_values(const double* v, double factor, double* y, int n) {
@@ -251,8 +262,9 @@ class Level : public Frame {
 
     const Stages* stages_ = nullptr;
     int most_rows_ = 0;
-    std::vector<double> tape_, handed_;
-    std::vector<int> starts_;
+    std::vector<double> tape_, handed_, turned_;
+    Frame turn_;  // has no rows
+    bool is_turned_ = false;
 };
 
 }  // namespace prioritized_ik

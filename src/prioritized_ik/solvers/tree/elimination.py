@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from prioritized_ik.kinematic_tree import BASE
 from prioritized_ik.solvers.tree.balance import balance
 from prioritized_ik.solvers.tree.factors import HELD, Balance, Ending, Factors, TreeRowsOnJoints
-from prioritized_ik.solvers.tree.frames import END, FrameStep, Parted, next_frame, part
+from prioritized_ik.solvers.tree.frames import END, Coordinates, FrameStep, Parted, joined, next_frame, part, split
 from prioritized_ik.solvers.tree.stages import TWIST, Stage, stages_of, twist_moved
-from prioritized_ik.solvers.tree.triangle import Coordinates, Triangle
+from prioritized_ik.solvers.tree.triangle import Triangle
 from prioritized_ik.tolerances import NOISE, ROUNDING, TREE_ZERO
 from prioritized_ik.validation import Array, length
 
@@ -42,20 +42,28 @@ class Elimination(Factors):
         """See `Factors.factor`."""
         self.fixed, rows = fixed, self.rows
         self._inputs = [stage.joints[~fixed[stage.joints]] for stage in self._stages] + [np.zeros(0, dtype=int)]
-        self._frames = [self._first_frame()]
+        self._frames: list[list[FrameStep]] = []
+        self._turns: list[list[Parted]] = []
         self._parted: list[list[Parted]] = []
         self._triangles: list[Triangle | None] = []
+        frame, outwards = self._first_frame(), True
         counts = self._real & ((rows.level != HELD) | held)
         for level in range(rows.levels + 1):
             numbers: dict[int, list[int]] = {}
             for row in np.flatnonzero(counts & (rows.level == level)).tolist():
                 numbers.setdefault(int(self._stage_of_rows[row]), []).append(row)
-            frame = self._frames[-1]
             if not numbers:  # the next one has the same frame
+                self._turns.append([])
                 self._parted.append([])
                 self._triangles.append(None)
                 self._frames.append(frame)
                 continue
+            turn: list[Parted] = []
+            if not outwards:
+                turn = part(frame, {}, {})
+                frame = next_frame(frame, turn)
+            self._turns.append(turn)
+            self._frames.append(frame)
             steps = part(
                 frame,
                 {stage: self._unit[some] for stage, some in numbers.items()},
@@ -64,7 +72,7 @@ class Elimination(Factors):
             weighted = {stage: rows.given[some] * rows.roots[some, None] for stage, some in numbers.items()}
             self._parted.append(steps)
             self._triangles.append(Triangle(frame, steps, weighted, numbers))
-            self._frames.append(next_frame(frame, steps))
+            frame, outwards = next_frame(frame, steps), False
         self.ranks = [sum(step.decided for step in steps) for steps in self._parted]
         self.strongest = [triangle.strongest if triangle else 0.0 for triangle in self._triangles]
         clear = all(some.weakest > NOISE * some.strongest for some in self._triangles if some and some.strongest)
@@ -146,36 +154,28 @@ class Elimination(Factors):
 
     def _split(self, gradient: Array) -> tuple[list[Coordinates], Coordinates]:
         """Return a gradient's coordinates at each level, step by step, and those of what all leave."""
-        inputs, decided = [gradient[numbers] for numbers in self._inputs], list[Coordinates]()
-        for steps in self._parted:
-            if not steps:
-                decided.append([])
-                continue
-            own, left, w = [], [], np.zeros(0)
-            for step, given in zip(steps, inputs, strict=True):
-                e, w, f = np.split(step.turn.T @ np.concatenate([w, given]), [step.decided, step.decided + step.left])
-                own.append(e)
-                left.append(f)
+        left, decided = [gradient[numbers] for numbers in self._inputs], list[Coordinates]()
+        for turn, steps in zip(self._turns, self._parted, strict=True):
+            own: Coordinates = []
+            if turn:
+                _, left = split(turn, left)
+            if steps:
+                own, left = split(steps, left)
             decided.append(own)
-            inputs = left[::-1]
-        return decided, inputs
+        return decided, left
 
     def _joined(self, level: int, decided: Coordinates | None, left: Coordinates | None = None) -> Array:
         """Return the step `(m,)` of a level's coordinates, and of those of what it leaves; zero unless given."""
-        inputs = [np.zeros(step.inputs.shape[1]) for step in self._frames[level + 1]] if left is None else left
+        inputs = left
         for number in range(level, -1, -1):
-            if not self._parted[number]:
-                continue
-            w, made = np.zeros(0), []
-            for k, step in reversed(list(enumerate(self._parted[number]))):
-                own = decided[k] if decided is not None and number == level else np.zeros(step.decided)
-                z = step.turn @ np.concatenate([own, w, inputs[len(self._parted[number]) - 1 - k]])
-                w = z[: step.before]
-                made.append(z[step.before :])
-            inputs = made[::-1]
+            if self._parted[number]:
+                inputs = joined(self._parted[number], decided if number == level else None, inputs)
+            if self._turns[number]:
+                inputs = joined(self._turns[number], None, inputs)
+        assert inputs is not None
         u = np.zeros(len(self.fixed))
-        for numbers, made_here in zip(self._inputs, inputs, strict=True):
-            u[numbers] = made_here
+        for numbers, made in zip(self._inputs, inputs, strict=True):
+            u[numbers] = made
         return u
 
     def _first_frame(self) -> list[FrameStep]:

@@ -12,9 +12,13 @@ orthonormal coordinates of all inputs so far that no row has decided, one orthog
 
 e is what the rows at hand feel, C T x = L e + what was felt before; w is what they do not feel but what is yet to come may,
 and f moves nothing from here on, so that the level does not feel it at all. The level decides the e; and w, f are the
-frame of the next level, flowing the other way: from w_k and f_k come w_(k-1) and z_k. No direction is ever divided by, so
-that nothing is lost however little the rows feel of some; weak directions are carried along until rows feel them more, and
-what the level feels in all is in the triangle of `triangle.py`.
+frame of what it leaves, flowing the other way: from w_k and f_k come w_(k-1) and z_k. No direction is ever divided by, so
+that nothing is lost however little the rows feel of some; what the level feels in all is in the triangle of `triangle.py`.
+
+A step decides what rows before it have not, and rows depend on each other: links keep their lengths, so that of the three
+rows of a point the one along a straight arm says what others say. From the base on that one comes last, and is zero; from
+the tips on it would come first, by 1e-9 of its length, and what rounding makes of that direction would count as a rank. So
+every level's frame flows outwards: that of what is left is turned round by parting it once more, with no rows.
 """
 
 from dataclasses import dataclass
@@ -25,6 +29,8 @@ from prioritized_ik.validation import Array, lengths
 
 TINY = 1e-14  # [of what moves a component] a state moved by less moves by rounding
 END = -1  # number of the stage where a flow ends: none
+
+Coordinates = list[Array]  # step by step
 
 
 @dataclass
@@ -102,6 +108,28 @@ def next_frame(frame: list[FrameStep], steps: list[Parted]) -> list[FrameStep]:
         flow, inputs = above[:, decided : decided + own.left], above[:, decided + own.left :]
         following.append(FrameStep(stage, flow, inputs, twist, np.ones(own.before)))
     return following
+
+
+def split(steps: list[Parted], inputs: Coordinates) -> tuple[Coordinates, Coordinates]:
+    """Return e, step by step, and f, as inputs of the next frame, of what is given in a frame's inputs z."""
+    decided, left, w = Coordinates(), Coordinates(), np.zeros(0)
+    for step, z in zip(steps, inputs, strict=True):
+        e, w, f = np.split(step.turn.T @ np.concatenate([w, z]), [step.decided, step.decided + step.left])
+        decided.append(e)
+        left.append(f)
+    return decided, left[::-1]
+
+
+def joined(steps: list[Parted], decided: Coordinates | None, left: Coordinates | None) -> Coordinates:
+    """Return the inputs z of e and f, as `split` has them; zero unless given."""
+    inputs, w = Coordinates(), np.zeros(0)
+    for k, step in reversed(list(enumerate(steps))):
+        e = np.zeros(step.decided) if decided is None else decided[k]
+        f = np.zeros(step.turn.shape[1] - step.decided - step.left) if left is None else left[len(steps) - 1 - k]
+        z = step.turn @ np.concatenate([e, w, f])
+        w = z[: step.before]
+        inputs.append(z[step.before :])
+    return inputs[::-1]
 
 
 def row_pivoted_lq(matrix: Array, zeros: Array) -> tuple[Array, int]:

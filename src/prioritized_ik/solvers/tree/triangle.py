@@ -9,10 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prioritized_ik.solvers.tree.frames import FrameStep, Parted
+from prioritized_ik.solvers.tree.frames import Coordinates, FrameStep, Parted
 from prioritized_ik.validation import Array
-
-Coordinates = list[Array]  # step by step
 
 
 @dataclass
