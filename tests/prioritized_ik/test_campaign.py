@@ -146,3 +146,18 @@ class TestSabotage:
 )
 def test_what_rounding_leaves_of_large_terms_proves_nothing(name: str, seed: int) -> None:
     assert campaign.judge(campaign.draw(name, seed), "active-set").word != campaign.WRONG
+
+
+@pytest.mark.parametrize("ratio", [1e6, 1e9, 1e12])
+def test_weights_far_apart_leave_the_default_method_its_certificate_beside_joint_bounds(ratio: float) -> None:
+    rng = np.random.default_rng(int(np.log10(ratio)))
+    for _ in range(20):
+        joints, rows = rng.integers(4, 8), rng.integers(5, 10)
+        weights = np.sqrt(ratio) ** np.where(np.arange(rows) < rng.integers(1, 4), 1.0, -1.0)
+        level = pik.Level(rng.normal(size=(rows, joints)), 0.1 * rng.normal(size=rows), weights)
+        problem = pik.IKProblem([level], pik.Bounds([-0.03] * joints, [0.03] * joints))
+        best = exact.optimum(exact.ExactProblem.of(problem))
+        assert best is not None
+        step = pik.solve(problem)
+        assert step.certificate.holds, step
+        np.testing.assert_allclose(step.dtheta, np.array(best.x, float), rtol=0, atol=1e-9)

@@ -550,6 +550,25 @@ def test_in_a_sliver_the_near_end_is_found_and_proven(narrow, room):
         assert step.dtheta == pytest.approx([far, 0.0, 1.0], rel=1e-6, abs=1e-15)
 
 
+@pytest.mark.parametrize("last", [False, True])
+@pytest.mark.parametrize("seed", range(10))
+def test_a_step_between_two_near_rows_states_how_far_it_is_from_the_one_that_pushes(seed, last):
+    """Two opposite rows, nearer than the tolerance, of which the lower levels feel little: the middle is no optimum."""
+    rng = np.random.default_rng(seed)
+    weak, room = 10.0 ** rng.uniform(-3, -1), 0.4 * CERTIFIED
+    wide = np.array([1.0, weak, 0.0])
+    levels = [Level([[1.0, 0.0, 0.0]], [0.0]), Level([[0.0, 0.0, 1.0]], [1.0])]
+    pushing = [] if last else [Level([[0.0, 1.0, 0.0]], [9.0])]
+    problem = IKProblem([*levels, *pushing], rows=Rows([wide, -wide], [0.0, room]), reference=[0.0, 9.0, 0.0])
+    step = solve(problem)
+    assert step.dtheta == pytest.approx([0.0, 0.0, 1.0], abs=1e-14)
+    assert step.certificate.holds
+    middle = np.array([0.0, -0.5 * room / weak, 1.0])
+    stated = certify(problem, middle)
+    assert stated.variation >= 0.499 * room / weak
+    assert not stated.holds or stated.variation <= UNDECIDED
+
+
 def test_a_bound_broken_by_twice_its_size_is_told_however_small_it_is():
     problem = IKProblem([Level(np.eye(2), [1e-9, 0.0])], Bounds([-1.0, -1.0], [5e-13, 1.0]))
     assert not certify(problem, [1.4e-12, 0.0]).holds

@@ -435,6 +435,21 @@ def thin_set(rng: np.random.Generator) -> Sketch:
 
 
 @kind
+def thin_for_the_step(rng: np.random.Generator) -> Sketch:
+    """Two opposite rows about as far apart as a certificate lets a step break one; levels above may all but settle them."""
+    s = Sketch(rng, int(rng.integers(3, 7))).random_levels().random_rows(2).times(2.0**10)
+    normal = s.vector()
+    if s.chance(0.5):
+        level = s.levels[0][0]
+        normal = s.integers(len(level), most=2) @ level + s.power(-10, -2) * normal
+    s.row(normal).row(-normal)
+    best = exact.optimum(exact.ExactProblem.of(s.problem()))
+    assert best is not None
+    normal, _ = s.rows.pop()
+    return s.row(normal, 2.0 ** np.floor(np.log2(1e-8 * np.linalg.norm(np.array(best.x, float)) * np.linalg.norm(normal))))
+
+
+@kind
 def empty_interior(rng: np.random.Generator) -> Sketch:
     """Three or more rows that only together leave no room: a positive combination of them is zero."""
     s = Sketch(rng, int(rng.integers(3, 7))).random_levels(soft=0.2)

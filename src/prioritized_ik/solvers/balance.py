@@ -18,6 +18,8 @@ Floats = NDArray[np.floating]  # doubles, or in extended precision
 
 TURNS = 2  # of a basis in extended precision; each gains as many digits as the level's weakest direction leaves
 
+HALF_UNIT = 0.5 * float(np.finfo(np.longdouble).eps)  # how far an operation in extended precision can be off, relatively
+
 IMPROVEMENTS = 4  # of a combination in extended precision; each gains as many digits as the rows leave
 
 
@@ -67,21 +69,26 @@ class Look:
     size: float
 
 
-def exact_gradient(level: Level, felt: Array, u: Array, size: int, blur: Array) -> tuple[Array, Array]:
-    """Return feltᵀ AᵀW(A u - b) `(size,)`, zero beyond what is felt, in extended precision, and its rounding.
+def exact_gradient(level: Level, felt: Array, u: Array, size: int, blur: Array) -> tuple[Floats, Array]:
+    """Return feltᵀ AᵀW(A u - b) `(size,)`, zero beyond what is felt, in extended precision, and a bound on its rounding.
 
     Where a level's strong rows are far from what they ask for, rounding of the change of coordinates lets a share of that
     through to its weak directions. Here the rows are taken as they are given.
     """
     long = np.longdouble
-    matrix, weights = level.matrix.astype(long), level.weights.astype(long)
-    residual = matrix @ u.astype(long) - level.target.astype(long)
-    gradient = np.zeros(size)
-    gradient[: felt.shape[1]] = ((matrix @ felt.astype(long)).T @ (weights * residual)).astype(float)
-    sizes = np.abs(level.matrix) @ np.abs(u) + np.abs(level.target)
+    (k, m), weights = level.matrix.shape, level.weights
+    seen = level.matrix.astype(long) @ felt.astype(long)
+    residual = level.matrix.astype(long) @ u.astype(long) - level.target.astype(long)
+    gradient = np.zeros(size, long)
+    gradient[: felt.shape[1]] = seen.T @ (weights * residual)
+    seen_terms, residual_terms = (
+        np.abs(level.matrix) @ np.abs(felt),
+        np.abs(level.matrix) @ np.abs(u) + np.abs(level.target),
+    )
+    rounding = (np.abs(seen).T @ (weights * ((m + 1) * residual_terms + (k + 2) * np.abs(residual)))).astype(float)
+    rounding += m * (seen_terms.T @ (weights * np.abs(residual))).astype(float)
     blur = blur.copy()
-    ratio = float(np.finfo(long).eps / np.finfo(float).eps)
-    blur[: felt.shape[1]] = ROUNDING * ratio * ((np.abs(level.matrix) @ np.abs(felt)).T @ (level.weights * sizes))
+    blur[: felt.shape[1]] = HALF_UNIT * rounding
     return gradient, blur
 
 
@@ -169,9 +176,9 @@ def _least(cone: Array, gradient: Array, held: NDArray[np.bool_], combination: A
 
 
 def balanced(
-    rows: Array, basis: Floats, gradient: Array, held: NDArray[np.bool_], noise: float, *, extended: bool
+    rows: Array, basis: Floats, gradient: Floats, held: NDArray[np.bool_], noise: float, *, extended: bool
 ) -> Balance:
-    """Return how far `rows` `(t, m)` in the coordinates of `basis` `(m, v)` can balance a `gradient` `(v,)`.
+    """Return how far `rows` `(t, m)` in the coordinates of `basis` `(m, v)` can balance a gradient `(v,)`.
 
     The combination may need digits that doubles do not have, where rows are nearly parallel or weights far apart; in
     `extended` precision it is improved until it has them.
@@ -180,14 +187,14 @@ def balanced(
     sizes = lengths(cone)
     normals = cone / sizes[:, None]
     signed = np.vstack([normals, -normals[held]])
-    combination = np.zeros(len(signed))
-    if not len(rows) or not gradient.any():
-        return Balance(normals, sizes, combination, gradient, np.zeros_like(gradient))
-    combination, _ = nonnegative_least_squares(signed.T, -gradient)
+    combination, rounded = np.zeros(len(signed)), gradient.astype(float)
+    if not len(rows) or not rounded.any():
+        return Balance(normals, sizes, combination, rounded, np.zeros_like(rounded))
+    combination, _ = nonnegative_least_squares(signed.T, -rounded)
     if held.any():
-        combination = _least(cone, gradient, held, combination)
+        combination = _least(cone, rounded, held, combination)
     if not extended:
-        rest = gradient + signed.T @ combination
+        rest = rounded + signed.T @ combination
         return Balance(normals, sizes, combination, rest, noise * (np.abs(signed).T @ combination))
     long = np.longdouble
     exact = (rows.astype(long) @ basis.astype(long)) / sizes.astype(long)[:, None]
@@ -195,12 +202,13 @@ def balanced(
     columns = np.vstack([exact, -exact[held]])[positive].T
     improved = combination[positive].astype(long)
     for _ in range(IMPROVEMENTS):
-        missing = -gradient.astype(long) - columns @ improved
+        missing = -gradient - columns @ improved
         improved = improved + np.linalg.lstsq(signed[positive].T, missing.astype(float))[0]
     if improved.min(initial=0.0) >= 0.0:
         combination[positive] = improved.astype(float)
     else:
         improved = combination[positive].astype(long)
-    rest = (gradient.astype(long) + columns @ improved).astype(float)
-    blur = ROUNDING * float(np.finfo(long).eps / np.finfo(float).eps)
-    return Balance(normals, sizes, combination, rest, blur * (np.abs(signed).T @ combination))
+    rest = (gradient + columns @ improved).astype(float)
+    terms = len(basis) * (np.abs(rows) @ np.abs(basis)) / sizes[:, None] + (len(improved) + 2) * np.abs(exact)
+    sums = np.vstack([terms, terms[held]])[positive].T @ np.abs(improved)
+    return Balance(normals, sizes, combination, rest, HALF_UNIT * sums.astype(float) + 0.5 * EPS * np.abs(rest))

@@ -60,7 +60,8 @@ class Certificate:
         gaps: by level, how much lower its cost (Eq. 10) could be, in its own units, squared.
         relative_gaps: the part that rounding does not explain, relative to what the level asks for or its error, squared.
         stationarity: by level, how much of a step would still lower its cost, beyond what `rounding` explains.
-        rounding: by level, how much of a step the rounding of the conditions' own terms can feign.
+        rounding: by level, how much of a step the rounding of the conditions' own terms can feign, or what room the rows
+            with multipliers have leaves open.
         held_by: by level, the names of the rows that hold it back (their multipliers are positive).
         tolerance: what violation and stationarity may reach.
     """
@@ -80,7 +81,7 @@ class Certificate:
 
     @property
     def variation(self) -> float:
-        """How far dθ may be from the one optimum, relative to the step, by rounding alone.
+        """How far dθ may be from the one optimum, relative to the step: by rounding, or what room pushing rows have.
 
         The last level's cost is ‖dθ - r‖² itself, so what it could be lower by tells too.
         """
@@ -99,7 +100,8 @@ class Certificate:
     def __str__(self) -> str:
         """Return the certificate in one line."""
         if self.holds:
-            return f"proven optimal: gap at most {max(self.relative_gaps):.0e} of a demand, step to within {self.worst:.0e}"
+            within = max(self.worst, self.variation)
+            return f"proven optimal: gap at most {max(self.relative_gaps):.0e} of a demand, step to within {within:.0e}"
         if self.is_optimal:
             return f"optimal, but the optimum is flat: rounding leaves dθ undecided by {self.variation:.0e} of the step"
         return (
@@ -262,10 +264,8 @@ class Proof:
         multipliers[near] = np.where(counts, pull, 0.0)
         first = near[~held & (multipliers[near] > 0.0)]
         self._leak[first] = gap / multipliers[first]
-        loosened = 0.0  # how far dθ may go until rows that carry a multiplier are tight; the last level's gap tells
-        if number is not None:
-            carrying = counts & ~back
-            loosened = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free)
+        carrying = counts & ~back
+        loosened = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free)
         # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
         off = self._off * (1.0 + follows)
         above = max(self._above, off)
@@ -335,7 +335,7 @@ class Proof:
             exact = extended and not level.is_soft
             basis, sizes = whitened(shortfall.felt, weakly=exact)
             strongest, unfelt_lengths = max(sizes[: felt.shape[1]], default=0.0), sizes[felt.shape[1] :]
-            gradient = np.concatenate([shortfall.gradient, np.zeros_like(unfelt_lengths)])
+            gradient: Floats = np.concatenate([shortfall.gradient, np.zeros_like(unfelt_lengths)])
             # What a level does not feel is zero, and not rounding.
             terms = np.concatenate([shortfall.terms + shortfall.leak * strongest, shortfall.leak * unfelt_lengths])
             blur = unit * terms
@@ -353,7 +353,7 @@ class Proof:
             explained = max(float(np.linalg.norm(sizes * rounding)), 0.0 if extended else leaks)
             look = Look(
                 balance,
-                gradient,
+                gradient.astype(float),
                 sizes,
                 rounding,
                 beyond,

@@ -149,6 +149,8 @@ class ActiveSet : public Written {
             measure();
             bool same = true;
             for (int i = 0; i < all_; i++) same = same && active_[i] == is_near(i) && exceeded_[i] == is_exceeded(i);
+            for (int i = 0; i < all_; i++)  // near each other, but without a step in common
+                if (active_[i] && abs(reach_[i]) > tol_.KEPT * scale_) throw Declined{UNSETTLED};
             if (!same) continue;
             if (!prove(ids, t)) throw Declined{UNPROVEN};
             conclude(ids, t);

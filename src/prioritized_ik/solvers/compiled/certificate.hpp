@@ -200,7 +200,7 @@ class Certified : public Face {
             gap += 2.0 * abs(pull) * (back ? own.leak[k] : slack);
             if (!counts) continue;
             values[k] = pull;
-            if (!last && !back) {
+            if (!back) {
                 const int from = below && norm(own.row[k] + c + r, below) > settled_ ? c + r : c;
                 apart += (slack + handed_) / norm(own.row[k] + from, m_ - from);
                 if (slack > tol_.ROUNDING * scale_ / tol_.MARGIN) apart = INFINITE;

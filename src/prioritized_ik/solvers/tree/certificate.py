@@ -141,7 +141,7 @@ class TreeProof:
             first_bounds, first_rows = (bounds > found.of_bounds) & ~held_bounds, (rows > found.of_rows) & ~held_rows
             self._leak_of_bounds[first_bounds] = gap / bounds[first_bounds]
             self._leak_of_rows[first_rows] = gap / rows[first_rows]
-            loosened = float(np.abs(self._slack[first_rows]).sum()) if not is_last else 0.0
+            loosened = float(np.abs(self._slack[first_rows]).sum())
         above = self._above
         carried = 2.0 * strength * cost * above + (strength * above) ** 2
         self._above = max(self._above, found.feigned, loosened)
