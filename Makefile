@@ -32,7 +32,10 @@ compare: setup
 paper: setup
 	$(BIN)/prioritized-ik paper --out results/paper
 
-test: lint types package unit
+# The checks go side by side; the tests after them, since the check of the package compiles anew what they load.
+test: setup
+	@$(MAKE) --no-print-directory --jobs 2 lint types package
+	@$(MAKE) --no-print-directory unit
 
 lint: setup
 	$(BIN)/ruff check .
@@ -41,12 +44,15 @@ lint: setup
 types: setup
 	$(BIN)/mypy
 
+# Two processes, a file at a time in the order of tests/support/slow.py.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
 unit: setup
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(PYTEST)
 
 # The fast tests, within a minute.
 unit-fast: setup
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow"
+	$(PYTEST) -m "not slow"
 
 # The wheel and the source archive: what they hold and say, and that they install and start on their own.
 package: setup

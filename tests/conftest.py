@@ -26,11 +26,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the slow tests."""
+    """Mark the slow tests, and put the longest modules first."""
     for item in items:
-        module, name = item.path.stem.removeprefix("test_"), item.name.partition("[")[0].removeprefix("test_")
+        module, name = _module(item), item.name.partition("[")[0].removeprefix("test_")
         if module in slow.MODULES or name in slow.TESTS.get(module, ()):
             item.add_marker(pytest.mark.slow)
+    places = {module: place for place, module in enumerate(slow.LONGEST)}
+    items.sort(key=lambda item: places.get(_module(item), len(places)))
+
+
+def _module(item: pytest.Item) -> str:
+    return item.path.stem.removeprefix("test_")
 
 
 def _not_run(reporter: pytest.TerminalReporter) -> dict[str, int]:

@@ -1,4 +1,8 @@
-"""Tests that `make unit-fast` leaves out: each takes more than about a third of a second, or needs a fixture that does."""
+"""Which tests take long.
+
+`make unit-fast` leaves out `MODULES` and `TESTS`: each takes more than about a third of a second, or needs a fixture that
+does.
+"""
 
 MODULES = frozenset(
     """
@@ -8,6 +12,14 @@ MODULES = frozenset(
     strict_winding survival torques tree_elimination tree_step viewer wind_own_robot witness
     """.split()
 )
+
+#: Modules that take more than about ten seconds, longest first: they are started in this order, before all others, so that
+#: none runs alone at the end while other processes wait.
+LONGEST = """
+    paper readme docs interruption examples qpbenchmark_set jobs page_in_chromium compare_scenes metrics compiled
+    hierarchies active_set comparison solve_step rendering viewer cli closed_form_map paper_windings scene exactness
+    mink_dropin certificate native_backends strict_winding
+    """.split()
 
 TESTS = {
     "active_set": (
