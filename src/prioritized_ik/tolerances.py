@@ -147,6 +147,10 @@ FEASIBLE = 1e-9
 #: [–] What must hold in the compiled core must hold with this fraction of its tolerance; otherwise the Python form answers.
 MARGIN = 0.1
 
+#: [–] The same for how far rounding may move a step, where all of its proof was looked at with twice the digits: what is
+#: left is how far half a unit in the last place of the levels above turns a level, which is no estimate.
+CLOSE_MARGIN = 0.5
+
 #: [–] A direction weaker than this, in rows of unit length, is one that the Python form looks at closer.
 WEAKEST = 1e-6
 

@@ -1,4 +1,4 @@
-// The sixth layer: from a guess of active rows to those of the optimum; see active_set.py.
+// The seventh layer: from a guess of active rows to those of the optimum; see active_set.py.
 #pragma once
 
 #include "written.hpp"
@@ -27,6 +27,8 @@ class ActiveSet : public Written {
         ids_ = arena_.array<int>(all_);
         proven_ = arena_.array<uint8_t>(2 * all_);
         proven_slack_ = arena_.doubles(all_);
+        mend_ = arena_.zeros(stride);
+        unmended_ = arena_.zeros(stride);
     }
 
     // From the active rows on.
@@ -64,14 +66,11 @@ class ActiveSet : public Written {
                 is_stuck_ = is_visited() && !drop();
                 continue;
             }
-            bool same = true;
-            int t = 0;
-            for (int i = 0; i < all_; i++)
-                if (is_near(i)) ids[t++] = i, same = same && active_[i];
-            if (prove(ids, t)) {
+            int t;
+            if (prove_mended(ids, t)) {
                 if (looked_at_ < now_.levels) return true;
-                if (!same) settle(ids);
-                else conclude(ids, t);
+                if (rests_on_near()) conclude(ids, t);
+                else settle(ids);
                 return true;
             }
             std::memcpy(proven_, active_, all_);
@@ -138,6 +137,48 @@ class ActiveSet : public Written {
         if (moved) refactor();
     }
 
+    // Whether the step rests on exactly the rows that it ends on.
+    bool rests_on_near() const {
+        bool same = true;
+        for (int i = 0; i < all_; i++) same = same && active_[i] == is_near(i) && exceeded_[i] == is_exceeded(i);
+        return same;
+    }
+
+    // Whether u_ is proven optimal from the rows `ids` (t) that it ends on, mended where rounding alone put it off.
+    bool prove_mended(int* ids, int& t) {
+        for (int again = 0;; again++) {
+            t = 0;
+            for (int i = 0; i < all_; i++)
+                if (is_near(i)) ids[t++] = i;
+            if (prove(ids, t)) return true;
+            if (mends_ && again < int(tol_.REFINEMENTS)) {
+                if (!again) copy(u_, unmended_, stride), unmended_wrong_ = wrong_;
+                mend();
+                if (keeps()) continue;
+                again++;
+            }
+            if (again) {
+                copy(unmended_, u_, stride);
+                measure();
+                wrong_ = unmended_wrong_;
+            }
+            return false;
+        }
+    }
+
+    // Whether u_ breaks no row.
+    bool keeps() const {
+        for (int i = 0; i < all_; i++)
+            if (is_looked_at(i) && !exceeded_[i] && reach_[i] < -tol_.KEPT * scale_) return false;
+        return true;
+    }
+
+    void mend() {
+        add(1.0, mend_, u_, stride);
+        keep_frozen();
+        measure();
+    }
+
     // The step of exactly the rows that it ends on, so that all guesses that lead there lead to the same bits; proven anew.
     void settle(int* ids) {
         constexpr int TRIES = 3;
@@ -147,12 +188,12 @@ class ActiveSet : public Written {
             const int t = listed(ids);
             face(ids, t);
             measure();
-            bool same = true;
-            for (int i = 0; i < all_; i++) same = same && active_[i] == is_near(i) && exceeded_[i] == is_exceeded(i);
+            int near;
+            const bool is_proven = prove_mended(ids, near);
+            if (!rests_on_near()) continue;
             for (int i = 0; i < all_; i++)  // near each other, but without a step in common
                 if (active_[i] && abs(reach_[i]) > tol_.KEPT * scale_) throw Declined{UNSETTLED};
-            if (!same) continue;
-            if (!prove(ids, t)) throw Declined{UNPROVEN};
+            if (!is_proven) throw Declined{UNPROVEN};
             conclude(ids, t);
             return;
         }
@@ -179,6 +220,8 @@ class ActiveSet : public Written {
     std::vector<uint64_t> visited_;
     bool is_stuck_ = false;  // no set is left to go on with
     size_t fewest_ = 0;      // of the rows that pull, over the search
+    double* unmended_ = nullptr;       // a step before it is mended,
+    std::vector<int> unmended_wrong_;  // and the rows that pull there
     int* ids_ = nullptr;
     uint8_t* proven_ = nullptr;        // active and exceeded rows at the last proof,
     double* proven_slack_ = nullptr;   // the slacks there,

@@ -1,22 +1,24 @@
-// The fourth layer: the proof that a step is optimal at every level; see certificate.py.
+// The fifth layer: the proof that a step is optimal at every level; see certificate.py.
 #pragma once
 
 #include <numeric>
 
-#include "face.hpp"
+#include "extended.hpp"
 #include "nonnegative.hpp"
 
 namespace prioritized_ik {
 
-class Certified : public Face {
+class Certified : public Extended {
   protected:
-    using Face::Face;
+    using Extended::Extended;
 
     // Whether u_ is proven optimal from the rows `ids` (t) that it ends on. If not, `wrong_` are the active rows that
     // pull, most first. See certificate.py; rounding explains nothing away here, so that what holds here holds there.
     bool prove(const int* ids, int t) {
         io.lists[PROOFS]++;
         Scope scope(arena_);
+        start_looks();
+        mends_ = false;
         carry(ids, t);
         Multipliers own(*this, ids, t);
         wrong_.clear();
@@ -121,82 +123,50 @@ class Certified : public Face {
         return g;
     }
 
+    // How far rows balance a level's gradient, in coordinates in which its cost is |.|^2: its own, and those below, `far`.
+    struct Look {
+        int n = 0, held = 0;          // rows that move in what is left; those held by a level above come first
+        int* place;                   // their numbers among `own`
+        double *normals, *sizes;      // by rows, of unit length; their lengths before
+        double* combination;
+        double *gradient, *rest;      // the level's, and what is left of it
+        double *rough, *beyond;       // what rounding can feign of the rest, and the rest beyond that
+        double far, excess, explained;  // excess: how long a step the rest asks for; explained: what rounding can feign of it
+    };
+
+    // Where a level's proof stands: its block, or null, and its coordinates, with those below.
+    struct Span {
+        const Block* block;
+        int start, rank, below;
+        int all() const { return rank + below; }
+    };
+
     bool prove_level(Multipliers& own, int l) {
-        constexpr int IMPROVEMENTS = 2;
         Scope scope(arena_);
         const bool last = l == now_.levels;
         const Block* block = last ? nullptr : &levels_[l];
-        const int c = last ? rest_ : block->start, r = last ? m_ - rest_ : block->rank, below = m_ - c - r, v = r + below;
+        const int c = last ? rest_ : block->start, r = last ? m_ - rest_ : block->rank;
+        const Span at{block, c, r, m_ - c - r};
+        const int below = at.below, v = at.all();
         const Gradient g = last ? last_gradient() : gradient_of(*block);
-        const double far = last ? 1.0 : block->shortest / tol_.UNFELT;
-
-        // Rows that move in what is left, those held by a level above first.
-        double* normals = arena_.zeros(size_t(own.t + 1) * stride);
-        double *sizes = arena_.doubles(own.t), *combination = arena_.doubles(own.t);
-        int *place = arena_.array<int>(own.t), n = 0, held = 0;
-        const double steep = norm(g.values, r);
-        if (steep > tol_.ROUNDING * g.terms) {
-            for (int pass = 0; pass < 2; pass++)
-                for (int i = 0; i < own.known; i++) {
-                    const double *row = own.row[i], moves = norm(row + c, v);
-                    if ((own.leak[i] < INFINITE) != (pass == 0)) continue;
-                    if (may_be_settled(moves, settled_)) doubt_ = true;
-                    if (!(moves > settled_)) continue;
-                    copy(row + c, normals + size_t(n) * stride, v);
-                    place[n++] = i;
-                    held += pass == 0;
-                }
-            if (block) block->R.solve_transposed(normals, stride, n);
-            for (int i = 0; i < n; i++) {
-                double* normal = normals + size_t(i) * stride;
-                for (int j = r; block && j < v; j++) normal[j] *= far;
-                sizes[i] = norm(normal, v);
-                for (int j = 0; j < v; j++) normal[j] /= sizes[i];
-            }
-            // What is left this long is longer than the step that is allowed, see as_step.
-            const double most = tol_.CERTIFIED * scale_ / (tol_.MARGIN * min(block ? 1.0 / block->strength : 1.0, far));
-            if (!balance(normals, n, held, v, g.values, most, combination)) return pulls(own, normals, place, n, held, v, g);
-        }
-
-        // What is left of the gradient; where that is not nothing yet, the combination is improved by what is left.
-        const Span span{block, c, r, below, far};
-        double* rest = arena_.zeros(stride);
-        balance_left(span, own, place, n, combination, sizes, g.values, rest);
-        double excess = as_step(span, rest);
-        for (int again = 0; again < IMPROVEMENTS && n && excess > tol_.MARGIN * tol_.CERTIFIED * scale_; again++) {
-            if (!improve(normals, n, held, v, rest, combination)) break;
-            balance_left(span, own, place, n, combination, sizes, g.values, rest);
-            excess = as_step(span, rest);
-        }
-        const double unfelt = norm(rest + r, below);
-
-        // How much of the rest rounding can feign, and how far that reaches as a step.
-        double *rough = arena_.zeros(padded(v)), *beyond = arena_.doubles(padded(v)), sum = 0.0, net = 0.0, explained = 0.0;
-        for (int j = 0; j < r; j++) rough[j] = tol_.ROUNDING * g.terms;
-        for (int i = 0; i < n; i++) {
-            const double *normal = normals + size_t(i) * stride, share = tol_.ROUNDING * abs(combination[i]);
-            for (int j = 0; j < v; j++) rough[j] += share * abs(normal[j]);
-            sum += abs(combination[i]);
-            net += abs(combination[i]) / sizes[i];
-        }
-        for (int j = 0; j < v; j++) {
-            const double size = j >= r ? far : block ? block->sizes[j] : 1.0;
-            rough[j] += blur_ * net * size;
-            beyond[j] = max(abs(rest[j]) - rough[j], 0.0);
-            explained += size * size * rough[j] * rough[j];
-        }
-        // Strong rows, far from what they ask for, leave rounding in a level's weak directions.
+        Look look;
+        if (!look_at(own, at, g, look)) return pulls(own, at, look);
+        // What rounding of doubles can feign is looked at with more digits; what it cannot is there.
+        const double fine = tol_.MARGIN * tol_.CERTIFIED * scale_, sure = tol_.MARGIN * tol_.UNDECIDED * scale_;
+        const bool is_unclear = look.excess > fine || look.explained > sure;
+        if (closely_ || (is_unclear && look.excess <= feigned(look))) look_closer(own, at, l, look);
+        const double *beyond = look.beyond, *rough = look.rough, excess = look.excess, explained = look.explained;
         const double follows = block ? g.strength * block->inverse_norm : 0.0;
-        const double leaks = block ? tol_.EPS * follows * sqrt(g.cost) * block->longest : 0.0;
-        explained = max(sqrt(explained), leaks);
+        double sum = 0.0;
+        for (int i = 0; i < look.n; i++) sum += abs(look.combination[i]);
 
         // Weak duality.
-        double gap = dot(beyond, beyond, v) + dot(rough, rough, v) + 2.0 * norm(beyond + r, below) / far * scale_, apart = 0.0;
+        double gap = dot(beyond, beyond, v) + dot(rough, rough, v) + 2.0 * norm(beyond + r, below) / look.far * scale_, apart = 0.0;
         double* values = own.values + size_t(l) * own.t;
-        for (int i = 0; i < n; i++) {
-            const int k = place[i];
-            const double pull = combination[i] / sizes[i], slack = abs(reach_[own.ids[k]]);
-            const bool counts = abs(combination[i]) > tol_.NOTHING * (g.terms + sum), back = i < held && pull < 0.0;
+        for (int i = 0; i < look.n; i++) {
+            const int k = look.place[i];
+            const double share = look.combination[i], pull = share / look.sizes[i], slack = abs(reach_[own.ids[k]]);
+            const bool counts = abs(share) > tol_.NOTHING * (g.terms + sum), back = i < look.held && pull < 0.0;
             gap += 2.0 * abs(pull) * (back ? own.leak[k] : slack);
             if (!counts) continue;
             values[k] = pull;
@@ -206,8 +176,8 @@ class Certified : public Face {
                 if (slack > tol_.ROUNDING * scale_ / tol_.MARGIN) apart = INFINITE;
             }
         }
-        for (int i = held; i < n; i++)
-            if (values[place[i]] > 0.0) own.leak[place[i]] = gap / values[place[i]];
+        for (int i = look.held; i < look.n; i++)
+            if (values[look.place[i]] > 0.0) own.leak[look.place[i]] = gap / values[look.place[i]];
 
         const double drawn = off_ * (1.0 + follows), carried_over = max(above_, drawn);
         above_ = max(above_, max(explained, apart));
@@ -222,44 +192,222 @@ class Certified : public Face {
         figures[STATIONARITY] = excess / scale_;
         figures[ROUNDING] = max(explained, max(apart, off_)) / scale_;
         const double allowed = last ? tol_.UNDECIDED : tol_.GAP;  // as in Certificate.holds
+        if (mends_) return pulls(own, at, look);
         if (excess <= tol_.CERTIFIED * scale_ && figures[RELATIVE_GAP] <= allowed) return true;
-        return pulls(own, normals, place, n, held, v, g);
+        return pulls(own, at, look);
     }
 
-    // Where a level's proof stands: its block, or null, and its coordinates, with those below.
-    struct Span {
-        const Block* block;
-        int start, rank, below;
-        double far;
-    };
+    // In doubles; false if rows cannot balance the gradient, which shows early.
+    bool look_at(const Multipliers& own, const Span& at, const Gradient& g, Look& look) {
+        constexpr int IMPROVEMENTS = 2;
+        const Block* block = at.block;
+        const int c = at.start, r = at.rank, v = at.all();
+        const double far = look.far = block ? block->shortest / tol_.UNFELT : 1.0;
+        look.gradient = g.values;
+
+        // Rows that move in what is left, those held by a level above first.
+        double* normals = look.normals = arena_.zeros(size_t(own.t + 1) * stride);
+        double *sizes = look.sizes = arena_.doubles(own.t), *combination = look.combination = arena_.doubles(own.t);
+        look.place = arena_.array<int>(own.t);
+        const double steep = norm(g.values, r);
+        if (steep > tol_.ROUNDING * g.terms) {
+            gather(own, at, look);
+            const int n = look.n;
+            for (int i = 0; i < n; i++) copy(own.row[look.place[i]] + c, normals + size_t(i) * stride, v);
+            if (block) block->R.solve_transposed(normals, stride, n);
+            for (int i = 0; i < n; i++) {
+                double* normal = normals + size_t(i) * stride;
+                for (int j = r; block && j < v; j++) normal[j] *= far;
+                sizes[i] = norm(normal, v);
+                for (int j = 0; j < v; j++) normal[j] /= sizes[i];
+            }
+            // What is left this long is longer than the step that is allowed, see as_step.
+            const double most = tol_.CERTIFIED * scale_ / (tol_.MARGIN * min(block ? 1.0 / block->strength : 1.0, far));
+            if (!balance(normals, n, look.held, v, g.values, most, combination)) return false;
+        }
+        const int n = look.n;
+
+        // What is left of the gradient; where that is not nothing yet, the combination is improved by what is left.
+        double* rest = look.rest = arena_.zeros(stride);
+        balance_left(at, own, look);
+        look.excess = as_step(at, far, rest);
+        for (int again = 0; again < IMPROVEMENTS && n && look.excess > tol_.MARGIN * tol_.CERTIFIED * scale_; again++) {
+            if (!improve(normals, n, look.held, v, rest, combination)) break;
+            balance_left(at, own, look);
+            look.excess = as_step(at, far, rest);
+        }
+
+        // How much of the rest rounding can feign, and how far that reaches as a step.
+        double *rough = look.rough = arena_.zeros(padded(v)), *beyond = look.beyond = arena_.doubles(padded(v));
+        double net = 0.0, explained = 0.0;
+        for (int j = 0; j < r; j++) rough[j] = tol_.ROUNDING * g.terms;
+        for (int i = 0; i < n; i++) {
+            const double *normal = normals + size_t(i) * stride, share = tol_.ROUNDING * abs(combination[i]);
+            for (int j = 0; j < v; j++) rough[j] += share * abs(normal[j]);
+            net += abs(combination[i]) / sizes[i];
+        }
+        for (int j = 0; j < v; j++) {
+            const double size = j >= r ? far : block ? block->sizes[j] : 1.0;
+            rough[j] += blur_ * net * size;
+            beyond[j] = max(abs(rest[j]) - rough[j], 0.0);
+            explained += size * size * rough[j] * rough[j];
+        }
+        // Strong rows, far from what they ask for, leave rounding in a level's weak directions.
+        const double follows = block ? g.strength * block->inverse_norm : 0.0;
+        const double leaks = block ? tol_.EPS * follows * sqrt(g.cost) * block->longest : 0.0;
+        look.explained = max(sqrt(explained), leaks);
+        return true;
+    }
+
+    // How long a step rounding of doubles can feign at most.
+    double feigned(const Look& look) const { return max(look.explained, tol_.CERTIFIED * scale_ / tol_.MARGIN); }
+
+    // Lists the rows that move in what is left.
+    void gather(const Multipliers& own, const Span& at, Look& look) {
+        look.n = 0;
+        for (int pass = 0; pass < 2; pass++) {
+            for (int i = 0; i < own.known; i++) {
+                if ((own.leak[i] < INFINITE) != (pass == 0)) continue;
+                const double moves = norm(own.row[i] + at.start, at.all());
+                if (may_be_settled(moves, settled_)) doubt_ = true;
+                if (moves > settled_) look.place[look.n++] = i;
+            }
+            if (pass == 0) look.held = look.n;
+        }
+    }
 
     // rest := the gradient with the combination of rows added. The rows are summed before the level's coordinates are
     // changed, as each by itself would leave more rounding than rows that nearly cancel leave of each other.
-    void balance_left(const Span& at, const Multipliers& own, const int* place, int n, const double* combination,
-                      const double* sizes, const double* gradient, double* rest) {
+    void balance_left(const Span& at, const Multipliers& own, const Look& look) {
+        double* rest = look.rest;
         clear(rest, stride);
-        for (int i = 0; i < n; i++)
-            if (combination[i] != 0.0) add(combination[i] / sizes[i], own.row[place[i]] + at.start, rest, at.rank + at.below);
+        for (int i = 0; i < look.n; i++)
+            if (const double share = look.combination[i]; share != 0.0)
+                add(share / look.sizes[i], own.row[look.place[i]] + at.start, rest, at.all());
         if (at.block) {
             at.block->R.solve_transposed(rest);
-            for (int j = at.rank; j < at.rank + at.below; j++) rest[j] *= at.far;
+            for (int j = at.rank; j < at.all(); j++) rest[j] *= look.far;
         }
-        for (int j = 0; j < at.rank; j++) rest[j] += gradient[j];
+        for (int j = 0; j < at.rank; j++) rest[j] += look.gradient[j];
     }
 
     // How long a step is that a gradient in a level's coordinates asks for.
-    double as_step(const Span& at, const double* rest) {
+    double as_step(const Span& at, double far, const double* rest) {
         Scope scope(arena_);
         double* step = arena_.zeros(stride);
         copy(rest, step, at.rank);
         if (at.block) at.block->R.solve(step);
-        const double unfelt = at.far * norm(rest + at.rank, at.below);
+        const double unfelt = far * norm(rest + at.rank, at.below);
         return sqrt(dot(step, step, at.rank) + unfelt * unfelt);
+    }
+
+    // The same with more digits, from the rows as they are given; says in `mends_` whether the step is off by so little
+    // that it is to be mended. Nothing of soft levels.
+    void look_closer(const Multipliers& own, const Span& at, int level, Look& look) {
+        constexpr int TURNS = 2, IMPROVEMENTS = 4;
+        const Block* block = at.block;
+        const double most = feigned(look);
+        if (block && block->is_soft) return;
+        const int r = at.rank, v = at.all();
+        const double* const* rows = block ? counted(*block) : nullptr;
+
+        // Directions in which the cost is |.|^2; those below are as unfelt as digits allow.
+        const double far = look.far = block ? max(block->longest, block->shortest / tol_.UNFELT) : 1.0;
+        double* basis = arena_.zeros(size_t(v) * stride);
+        if (block) felt_of(*block, basis);
+        else copy(directions() + size_t(at.start) * stride, basis, size_t(r) * stride);
+        for (int j = r; j < v; j++) add(far, directions() + size_t(at.start + j) * stride, basis + size_t(j) * stride, stride);
+        const Doubled exact = doubled(size_t(v) * stride);
+        copy(basis, exact.high, size_t(v) * stride);
+        const double turn = leave_above(level, exact, v, blur_);
+        for (int j = r; j < v; j++)
+            for (int turn = 0; turn < TURNS; turn++) leave_unfelt(*block, rows, basis, exact.from(size_t(j) * stride));
+
+        const Doubled gradient = doubled(padded(v));
+        double *blur = look.rough = arena_.zeros(padded(v)), *lacking = look.gradient = arena_.zeros(stride);
+        gradient_along(exact, r, block, rows, gradient, blur);
+        bool lacks = false;
+        for (int j = 0; j < r; j++)
+            if (abs(gradient.high[j]) > blur[j]) lacking[j] = gradient.high[j], lacks = true;
+
+        gather(own, at, look);
+        const int n = look.n;
+        const int s = padded(v);
+        const Doubled normals = doubled(size_t(n) * s), shares = doubled(n), rest = doubled(s);
+        double *combination = look.combination, *left = look.rest, *change = arena_.doubles(n), *net = arena_.zeros(padded(v));
+        for (int i = 0; i < n; i++) {
+            const Doubled normal = normals.from(size_t(i) * s);
+            double* rounded = look.normals + size_t(i) * stride;
+            const double given = along(own.ids[look.place[i]], exact, v, normal);
+            const double size = norm(normal.high, v), scale = 1.0 / size;
+            look.sizes[i] = size / given;  // of a row of unit length
+            for (int j = 0; j < v; j++) {
+                normal.set(j, scale * normal[j]);
+                rounded[j] = normal.high[j];
+            }
+        }
+        for (int i = 0; i < n; i++) combination[i] = 0.0;
+        if (lacks && !balance(look.normals, n, look.held, v, lacking, INFINITE, combination)) return;
+
+        const auto balance_exactly = [&] {
+            copy(gradient.high, rest.high, s);
+            copy(gradient.low, rest.low, s);
+            for (int i = 0; i < n; i++)
+                if (shares.high[i] != 0.0) add(shares[i], normals.from(size_t(i) * s), rest, v);
+            for (int j = 0; j < v; j++) left[j] = rest[j].rounded();
+        };
+        copy(combination, shares.high, n);
+        balance_exactly();
+        for (int again = 0; again < IMPROVEMENTS && correct(look.normals, n, v, left, combination, change); again++) {
+            for (int i = 0; i < n; i++) shares.set(i, shares[i] + DoubleDouble{change[i]});
+            balance_exactly();
+        }
+        bool is_signed = false;
+        for (int i = look.held; i < n; i++) is_signed = is_signed || shares.high[i] < 0.0;
+        if (is_signed) {  // what the improvement would take the wrong way
+            copy(combination, shares.high, n);
+            clear(shares.low, n);
+            balance_exactly();
+        }
+        copy(shares.high, combination, n);
+
+        double pulled = 0.0, explained = 0.0;
+        for (int i = 0; i < n; i++) {
+            const double share = abs(combination[i]);
+            pulled += share / look.sizes[i];
+            for (int j = 0; j < v; j++) net[j] += share * abs(look.normals[size_t(i) * stride + j]);
+        }
+        double* step = arena_.zeros(stride);
+        for (int j = 0; j < v; j++) {
+            const double size = j >= r ? far : block ? block->sizes[j] : 1.0;
+            blur[j] += tol_.ROUNDING * FINER * net[j] + turn * pulled * size;
+            look.beyond[j] = max(abs(left[j]) - blur[j], 0.0);
+            explained += size * size * blur[j] * blur[j];
+            add(-left[j], basis + size_t(j) * stride, step, stride);
+        }
+        look.explained = sqrt(explained);
+        look.excess = norm(step, m_);
+        if (look.excess > tol_.MARGIN * tol_.CERTIFIED * scale_ && look.excess <= most) {
+            copy(step, mend_, stride);
+            mends_ = true;
+        }
     }
 
     // Adds to a combination what balances the rest in least squares; false, and no change, if a sign would be wrong.
     bool improve(const double* normals, int n, int held, int v, const double* rest, double* combination) {
         Scope scope(arena_);
+        double* change = arena_.doubles(n);
+        if (!correct(normals, n, v, rest, combination, change)) return false;
+        for (int i = held; i < n; i++)
+            if (combination[i] != 0.0 && combination[i] + change[i] < 0.0) return false;
+        for (int i = 0; i < n; i++) combination[i] += change[i];
+        return true;
+    }
+
+    // change := what balances the rest in least squares by the rows of a combination; false if there are none.
+    bool correct(const double* normals, int n, int v, const double* rest, const double* combination, double* change) {
+        Scope scope(arena_);
+        for (int i = 0; i < n; i++) change[i] = 0.0;
         double* columns = arena_.doubles(size_t(n + 1) * stride);
         int *ids = arena_.array<int>(n), *order = arena_.array<int>(n), k = 0;
         for (int i = 0; i < n; i++)
@@ -274,9 +422,7 @@ class Certified : public Face {
         int rank = min(k, v);
         while (rank > 0 && abs(columns[size_t(rank - 1) * stride + rank - 1]) <= tol_.DEPENDENT) rank--;
         Triangle{columns, stride, rank}.solve(side);
-        for (int j = 0; j < rank; j++)
-            if (const int i = ids[order[j]]; i >= held && combination[i] + side[j] < 0.0) return false;
-        for (int j = 0; j < rank; j++) combination[ids[order[j]]] += side[j];
+        for (int j = 0; j < rank; j++) change[ids[order[j]]] = side[j];
         return rank > 0;
     }
 
@@ -314,8 +460,10 @@ class Certified : public Face {
     }
 
     // Finds the active rows whose multipliers are negative if all active ones are taken as equalities; always false.
-    bool pulls(const Multipliers& own, const double* normals, const int* place, int n, int held, int v, const Gradient& g) {
+    bool pulls(const Multipliers& own, const Span& at, const Look& look) {
         Scope scope(arena_);
+        const int n = look.n, held = look.held, v = at.all(), *place = look.place;
+        const double* normals = look.normals;
         double* columns = arena_.zeros(size_t(n + 1) * stride);
         int *rows = arena_.array<int>(n), *order = arena_.array<int>(n), *places = arena_.array<int>(n), k = 0;
         for (int i = 0; i < n; i++)
@@ -324,7 +472,7 @@ class Certified : public Face {
                 rows[k++] = i;
             }
         double* side = columns + size_t(k) * stride;
-        for (int j = 0; j < v; j++) side[j] = -g.values[j];
+        for (int j = 0; j < v; j++) side[j] = -look.gradient[j];
         column_qr(columns, stride, k + 1, k, v, order, true, arena_);
         int rank = min(k, v);
         while (rank > 0 && abs(columns[size_t(rank - 1) * stride + rank - 1]) <= tol_.DEPENDENT) rank--;
@@ -342,6 +490,9 @@ class Certified : public Face {
     double* multipliers_ = nullptr;
     uint8_t* active_ = nullptr;
     std::vector<int> wrong_;  // active rows to drop in turn
+    double* mend_ = nullptr;  // what the step lacks by rounding,
+    bool mends_ = false;      // if that is why the last proof did not end
+    bool closely_ = false;    // whether a proof looks closer at every level
 
   private:
     std::vector<double> proof_;

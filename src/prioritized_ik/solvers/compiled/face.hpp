@@ -81,7 +81,7 @@ class Face : public Factored {
     // x_ and u_ := the strict closed form where the rows `ids` (t) hold. See active_set.face_solution.
     void face(const int* ids, int t) {
         io.lists[FACES]++;
-        doubt_ = false;
+        doubt_ = is_weak_ = false;
         Scope scope(arena_);
         double *rows = arena_.doubles(size_t(t) * stride), *sides = arena_.doubles(t);
         bool drifting = false;
@@ -104,6 +104,10 @@ class Face : public Factored {
             if (worst > tol_.DRIFT * norm(x_, m_)) hold(ids, rows, sides, t);
         }
         out_of(x_, u_);
+        keep_frozen();
+    }
+
+    void keep_frozen() {
         for (int j = 0, e = 0; e < frozen_; j++)
             if (io.lower[j] == io.upper[j]) u_[j] = equal_side_[e++];
     }
@@ -235,7 +239,7 @@ class Face : public Factored {
         double left;
         const int rank = row_pivoted_lq(row, ids, n, n, 0, r, s, chain, tol_.DEPENDENT, left, arena_);
         for (int i = 0; i < rank; i++)
-            if (abs(row[i][i]) < tol_.WEAKEST) doubt_ = true;
+            if (abs(row[i][i]) < tol_.WEAKEST) is_weak_ = true;
         double* z = arena_.doubles(s);
         for (int again = 0; again < 2; again++) {
             clear(z, s);
@@ -313,7 +317,7 @@ class Face : public Factored {
         if (closed_form_ < 0.0) {
             Scope scope(arena_);
             double *u = arena_.doubles(stride), *x = arena_.doubles(stride);
-            const bool doubt = doubt_;
+            const bool doubt = doubt_, weak = is_weak_;
             copy(u_, u, stride);
             copy(x_, x, stride);
             face(nullptr, 0);
@@ -321,19 +325,23 @@ class Face : public Factored {
             copy(u, u_, stride);
             copy(x, x_, stride);
             doubt_ = doubt;
+            is_weak_ = weak;
         }
         return closed_form_;
     }
 
     double *u_ = nullptr, *x_ = nullptr, *reach_ = nullptr, *slack_ = nullptr, *start_ = nullptr;
     double closed_form_ = 0.0, broken_ = 0.0, worst_ = 0.0, worst_hard_ = 0.0, size_ = 0.0, scale_ = 0.0;
-    bool doubt_ = false;
+    bool doubt_ = false;    // whether a row may count or not
+    bool is_weak_ = false;  // whether rows that hold nearly say the same, so that they decide the step to few digits
+    double* drift_ = nullptr;       // of inequalities in x, where they have any
+    uint8_t* has_drift_ = nullptr;
 
   private:
     Reflectors small_chain_;
-    double *carried_ = nullptr, *drift_ = nullptr;
+    double* carried_ = nullptr;
     int* shares_ = nullptr;  // by level, and one more: how many rows it and the levels below meet
-    uint8_t *is_carried_ = nullptr, *has_drift_ = nullptr, *in_doubt_ = nullptr;
+    uint8_t *is_carried_ = nullptr, *in_doubt_ = nullptr;
 };
 
 }  // namespace prioritized_ik

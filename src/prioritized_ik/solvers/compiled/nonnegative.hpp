@@ -24,7 +24,7 @@ inline bool nonnegative_least_squares(const double* rows, int stride, int t, int
     Scope scope(arena);
     double *columns = arena.doubles(size_t(t + 1) * stride), *z = arena.doubles(t + 1), *rest = arena.doubles(stride);
     int *ids = arena.array<int>(t), *order = arena.array<int>(t + 1);
-    char* inside = arena.array<char>(t);
+    char *inside = arena.array<char>(t), *barred = arena.array<char>(t);
     for (int i = 0; i < t; i++) inside[i] = 1;
     const double size = norm(target, n);
 
@@ -69,25 +69,35 @@ inline bool nonnegative_least_squares(const double* rows, int stride, int t, int
         return true;
     }
     if (k == t && leaves_more(Triangle{columns, stride, k}, z, most, arena)) return false;
-    for (int i = 0; i < t; i++) inside[i] = 0;
+    for (int i = 0; i < t; i++) inside[i] = barred[i] = 0;
     for (int iteration = 0; iteration < 3 * t + 30; iteration++) {
         copy(target, rest, n);
+        double terms = size;  // a gain that rounding of these can feign is none
         for (int i = 0; i < t; i++)
-            if (x[i] != 0.0) add(-x[i], rows + size_t(i) * stride, rest, n);
+            if (x[i] != 0.0) {
+                add(-x[i], rows + size_t(i) * stride, rest, n);
+                terms += x[i];
+            }
         int best = -1;
-        double highest = GAIN * size * sqrt(double(n));
+        double highest = GAIN * terms * sqrt(double(n));
         for (int i = 0; i < t; i++)
-            if (!inside[i]) {
+            if (!inside[i] && !barred[i]) {
                 const double gain = dot(rows + size_t(i) * stride, rest, n);
                 if (gain > highest) highest = gain, best = i;
             }
         if (best < 0) return true;
         inside[best] = 1;
         for (int inner = 0; inner < t + 5; inner++) {
-            if (!solve(k)) return false;
+            if (!solve(k)) {  // the others say what it says
+                inside[best] = 0;
+                barred[best] = 1;
+                break;
+            }
             if (positive(k)) {
                 clear(x, t);
                 for (int j = 0; j < k; j++) x[ids[j]] = z[j];
+                if (inside[best]) std::memset(barred, 0, t);
+                else barred[best] = 1;  // its gain was rounding
                 break;
             }
             double part = 1.0;

@@ -10,7 +10,7 @@ struct Block {
     int first, given, n;       // its rows as given; those that count now
     int counting;              // those that count, of soft levels none: the exceeded ones do
     const double** row;        // as given, in the metric (n)
-    double *root, *side, *length; // square roots of their weights, targets, and lengths (n)
+    double *weight, *root, *side, *length; // their weights, square roots of these, targets, and lengths (n)
     int* order;                // of the rows in the factors (n)
     int start, rank;           // its coordinates
     Triangle R;                // upper triangle in these
@@ -79,6 +79,7 @@ class Posed {
         zero_ = arena_.array<int>(now_.level_rows + now_.rows);
 
         matrix_ = matrix;
+        rows_as_given_ = rows;
         exceeded_ = arena_.array<uint8_t>(all_);
         level_of_ = arena_.array<int>(all_);
         std::memset(exceeded_, 0, all_);
@@ -139,9 +140,11 @@ class Posed {
         const int e = frozen_ + now_.equalities;
         equal_ = arena_.zeros(size_t(e) * stride);
         equal_side_ = arena_.doubles(e);
+        equal_as_given_ = arena_.array<const double*>(e);
         equalities_ = 0;
         for (int j = 0; j < m_; j++)
             if (io.lower[j] == io.upper[j]) {
+                equal_as_given_[equalities_] = equal_ + size_t(equalities_) * stride;
                 equal_[size_t(equalities_) * stride + j] = 1.0;
                 equal_side_[equalities_++] = plain ? io.lower[j] : io.lower[j] * io.metric_root[j];
             }
@@ -150,6 +153,7 @@ class Posed {
             if (size == 0.0) continue;
             if (is_rounding(size)) throw Declined{ROUNDING_ROW};
             add(1.0 / size, fixed + size_t(i) * stride, equal_ + size_t(equalities_) * stride, stride);
+            equal_as_given_[equalities_] = fixed + size_t(i) * stride;
             equal_side_[equalities_++] = io.equality_target[i] / size;
         }
     }
@@ -165,6 +169,7 @@ class Posed {
         block.rank_tolerance = block.is_soft ? 0.0 : rank_tolerance_;
         block.asked = 0.0;
         block.row = arena_.array<const double*>(n + damped);
+        block.weight = arena_.doubles(n + damped);
         block.root = arena_.doubles(n + damped);
         block.side = arena_.doubles(n + damped);
         block.length = arena_.doubles(n + damped);
@@ -181,7 +186,7 @@ class Posed {
             for (int j = 0; j < m_; j++) {
                 extra[size_t(j) * stride + j] = strength;
                 block.row[block.n] = extra + size_t(j) * stride;
-                block.root[block.n] = 1.0;
+                block.weight[block.n] = block.root[block.n] = 1.0;
                 block.length[block.n] = strength;
                 block.side[block.n++] = 0.0;
             }
@@ -192,6 +197,7 @@ class Posed {
     // One more of a level's rows counts.
     void take(Block& block, int i) {
         block.row[block.n] = matrix_ + size_t(i) * stride;
+        block.weight[block.n] = io.weights[i];
         block.root[block.n] = sqrt(io.weights[i]);
         block.length[block.n] = lengths_[i];
         block.side[block.n++] = io.target[i];
@@ -215,6 +221,15 @@ class Posed {
             side_[to] = io.target[from] / lengths_[from];
         }
         block.asked = sqrt(asked);
+    }
+
+    // An inequality in the metric that is no bound, as it is given, and its length.
+    std::pair<const double*, double> as_given(int id) const {
+        const int hard = id - 2 * m_;
+        if (id < hard_) return {rows_as_given_ + size_t(hard) * stride, lengths_[now_.level_rows + hard]};
+        const Block& block = levels_[level_of_[id]];
+        const int row = block.first + id - block.soft_start;
+        return {matrix_ + size_t(row) * stride, lengths_[row]};
     }
 
     // The exceeded rows of soft levels are what these ask for; levels from `looked_at_` on ask for nothing.
@@ -242,6 +257,8 @@ class Posed {
     int *zero_ = nullptr, *level_of_ = nullptr;  // level_of_: of every inequality
     uint8_t* exceeded_ = nullptr;                // rows of soft levels that are not kept
     double *matrix_ = nullptr, *lengths_ = nullptr;  // of the levels
+    const double* rows_as_given_ = nullptr;          // in the metric
+    const double** equal_as_given_ = nullptr;        // those that count, frozen joints first
     double *side_ = nullptr, *normal_ = nullptr, *equal_ = nullptr, *equal_side_ = nullptr, *reference_ = nullptr;
 
     static size_t arena_size(const Sizes& s) {

@@ -1,5 +1,5 @@
-// One joint step and its certificate, in layers, each on those before it: posed.hpp, factored.hpp, face.hpp, certificate.hpp,
-// written.hpp, active_set.hpp, and the course of a call here.
+// One joint step and its certificate, in layers, each on those before it: posed.hpp, factored.hpp, face.hpp, extended.hpp,
+// certificate.hpp, written.hpp, active_set.hpp, and the course of a call here.
 //
 // What this cannot settle clearly (a rank near its cut, a row that the levels above nearly decide, a set of rows that does
 // not come to rest, a certificate without margin) it declines: the Python form answers then.
@@ -69,7 +69,11 @@ class Step : public ActiveSet {
         measure();
         if (question != FROM_GUESS_ONLY) {
             if (worst_ >= -tol_.FREE * scale_) {
-                if (!prove(nullptr, 0)) throw Declined{UNPROVEN};
+                for (int again = 0; !prove(nullptr, 0); again++) {
+                    if (!mends_ || again == int(tol_.REFINEMENTS)) throw Declined{UNPROVEN};
+                    mend();
+                    if (worst_ < -tol_.FREE * scale_) throw Declined{UNPROVEN};
+                }
                 conclude(nullptr, 0);
                 return CLOSED_FORM;
             }

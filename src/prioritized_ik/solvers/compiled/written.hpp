@@ -1,4 +1,4 @@
-// The fifth layer: writes a step that is proven, if its certificate has margin; fast.py reads it.
+// The sixth layer: writes a step that is proven, if its certificate has margin; fast.py reads it.
 #pragma once
 
 #include "certificate.hpp"
@@ -11,29 +11,28 @@ class Written : public Certified {
 
     bool is_written_ = false;
 
-    // Writes the proven step, if its certificate has margin.
+    // Writes the proven step, if its certificate has margin, or has it where every level is looked at closer.
     void conclude(const int* ids, int t) {
-        const int levels = now_.levels;
-        const double margin = tol_.MARGIN, near = tol_.CERTIFIED * scale_;
-        double violation = max(0.0, -worst_hard_), variation = 0.0;
+        const double near = tol_.CERTIFIED * scale_;
+        double violation = max(0.0, -worst_hard_);
         for (int i = 0; i < equalities_; i++)
             violation = max(violation, abs(dot(equal_ + size_t(i) * stride, u_, stride) - equal_side_[i]));
-        double* figures = io.figures.data();
-        bool clear_cut = violation <= margin * near;
-        for (int l = 0; l <= levels; l++, figures += FIGURES) {
-            clear_cut = clear_cut && figures[STATIONARITY] <= margin * tol_.CERTIFIED;
-            if (l < levels) clear_cut = clear_cut && figures[RELATIVE_GAP] <= margin * tol_.GAP;
-            else variation = max(variation, figures[RELATIVE_GAP]);
-            variation = max(variation, figures[ROUNDING]);
+        if (violation > tol_.MARGIN * near) throw Declined{UNPROVEN};
+        if (is_weak_ || !has_margin(tol_.MARGIN)) {
+            closely_ = true;
+            const bool is_proven = prove(ids, t);
+            closely_ = false;
+            if (!is_proven || !has_margin(tol_.CLOSE_MARGIN)) throw Declined{UNPROVEN};
         }
-        if (!clear_cut || !(variation <= margin * tol_.UNDECIDED)) throw Declined{UNPROVEN};
         if (doubt_) throw Declined{NEARLY_DECIDED};
-        if (-worst_hard_ > tol_.ROUNDING * scale_ / margin) throw Declined{UNPROVEN};  // what mending it moves: Proof._loose
+        if (-worst_hard_ > tol_.ROUNDING * scale_ / tol_.MARGIN) throw Declined{UNPROVEN};  // what mending it moves: Proof._loose
         for (int i = 0; i < all_ && (t || soft_); i++) {
             const double off = i < hard_ ? reach_[i] : abs(reach_[i]);
-            if (off > margin * near && off < near / margin) throw Declined{NEARLY_TIGHT};
+            if (off > tol_.MARGIN * near && off < near / tol_.MARGIN) throw Declined{NEARLY_TIGHT};
         }
         is_written_ = true;
+        const int levels = now_.levels;
+        double* figures = io.figures.data() + FIGURES * (levels + 1);
         figures[0] = violation / scale_;
         figures[1] = scale_;
 
@@ -69,6 +68,20 @@ class Written : public Certified {
             }
             figures[2 + l] = cost;
         }
+    }
+
+  private:
+    // Whether the certificate holds with a fraction of its tolerances; what rounding leaves undecided, with one of its own.
+    bool has_margin(double of_variation) const {
+        const double* figures = io.figures.data();
+        double variation = 0.0;
+        for (int l = 0; l <= now_.levels; l++, figures += FIGURES) {
+            if (!(figures[STATIONARITY] <= tol_.MARGIN * tol_.CERTIFIED)) return false;
+            if (l < now_.levels && !(figures[RELATIVE_GAP] <= tol_.MARGIN * tol_.GAP)) return false;
+            if (l == now_.levels) variation = max(variation, figures[RELATIVE_GAP]);
+            variation = max(variation, figures[ROUNDING]);
+        }
+        return variation <= of_variation * tol_.UNDECIDED;
     }
 };
 
