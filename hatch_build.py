@@ -1,6 +1,7 @@
 """Compiles the core of the solve when the package is installed, with whatever compiler there is, or else leaves it out.
 
-Hatch calls it; `python hatch_build.py` does the same in place. The package runs without: then the Python form solves.
+Hatch calls it; `python hatch_build.py` does the same in place. The package runs without: then the Python form solves. $CXX
+names another compiler, $CXXFLAGS further flags.
 """
 
 import hashlib
@@ -64,7 +65,8 @@ def build(root: Path) -> list[Path]:
     try:
         for name, flags in VARIANTS.items():
             library = folder / f"core-{name}.so"
-            whole = [*command, *FLAGS, *_translated(flags, command), source, str(folder / "core.cpp"), "-o", str(library)]
+            every = [*FLAGS, *_translated(flags, command), *shlex.split(os.environ.get("CXXFLAGS", ""))]
+            whole = [*command, *every, source, str(folder / "core.cpp"), "-o", str(library)]
             compiling = subprocess.Popen(whole, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
             running.append((library, compiling))
     except OSError as error:
