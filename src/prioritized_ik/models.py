@@ -234,7 +234,7 @@ def winding_model(arm: Arm, wound: WindingObject) -> mujoco.MjModel:
     return copy.copy(_winding_model(arm, wound.shape, wound.size, wound.position.tobytes(), wound.rotation.tobytes()))
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)  # settings ask for one a first link, and a sweep goes through all of them
 def _arm_model(arm: Arm) -> mujoco.MjModel:
     return _compiled(arm, "alone", arm.spec)
 
