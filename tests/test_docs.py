@@ -81,11 +81,10 @@ def test_equations_are_written_out(site: Path) -> None:
     assert "$" not in re.sub(r"<pre>.*?</pre>", "", text.partition("<article")[2], flags=re.DOTALL)
 
 
-@pytest.fixture(params=WIDTHS.values(), ids=WIDTHS.keys())
-def page(request: pytest.FixtureRequest, browser: "playwright.Browser") -> Iterator["playwright.Page"]:
+@pytest.fixture
+def page(browser: "playwright.Browser") -> Iterator["playwright.Page"]:
     """A page that must not complain, whatever a test opens in it."""
-    width, height = request.param
-    context = browser.new_context(viewport={"width": width, "height": height})
+    context = browser.new_context()
     page = context.new_page()
     said: list[str] = []
     page.on("console", lambda message: said.append(f"{message.type}: {message.text}"))
@@ -98,12 +97,17 @@ def page(request: pytest.FixtureRequest, browser: "playwright.Browser") -> Itera
 def test_every_page_fits_the_screen_and_shows_its_pictures(site: Path, page: "playwright.Page") -> None:
     for file in sorted(site.rglob("*.html")):
         page.goto(file.as_uri())
-        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), file.name
+        for device, (width, height) in WIDTHS.items():
+            page.set_viewport_size({"width": width, "height": height})
+            assert page.evaluate("window.innerWidth") == width
+            assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), (file.name, device)
         broken = "[...document.images].filter((image) => image.complete && !image.naturalWidth).map((image) => image.src)"
         assert page.evaluate(broken) == [], file.name
 
 
-def test_the_search_finds_a_page_without_a_server(site: Path, page: "playwright.Page") -> None:
+@pytest.mark.parametrize(("width", "height"), WIDTHS.values(), ids=WIDTHS.keys())
+def test_the_search_finds_a_page_without_a_server(site: Path, page: "playwright.Page", width: int, height: int) -> None:
+    page.set_viewport_size({"width": width, "height": height})
     page.goto(f"{(site / 'search.html').as_uri()}?q=certificate")
     found = page.locator("#search-results li a", has_text="Concepts").first
     found.wait_for()

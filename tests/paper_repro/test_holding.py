@@ -1,6 +1,7 @@
 """Hold and lift: the carriage, the marks, the three controls, and the hierarchy of torques."""
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import mujoco
@@ -98,6 +99,13 @@ def test_the_hierarchy_holds_gently(monkeypatch: pytest.MonkeyPatch) -> None:
     assert gentle.contact_force < MOST
     assert gentle.uncertified <= 0.01 * gentle.steps
     assert gentle.work < springs.work
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_a_trial_ends_the_same_to_the_last_bit_each_time(control: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(holding, "SHAKE", 0.5)
+    first, again = (asdict(tried(FRONT, control)) for _ in range(2))
+    assert json.dumps(first) == json.dumps(again)
 
 
 def moving(trial: Trial = FRONT) -> Scene:

@@ -32,7 +32,7 @@ COMPARED = (
     "table-6",
     "table-8",
     "table-11",
-    "table-14",
+    "table-13",
     "closed-form-map",
     "leaves-open",
     "figure-3",

@@ -261,7 +261,7 @@ def sets_of(hierarchy: Hierarchy, guess: Active, found: Solution) -> list[frozen
     return visited
 
 
-@settings(max_examples=100, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=50, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.builds(random_hierarchy, st.integers(0, 2**32 - 1), joints=st.just((2, 20))), st.integers(0, 2**16))
 def test_the_trace_names_the_rows_added_and_dropped_and_no_set_is_visited_twice(known, seed):
     hierarchy = hierarchy_of(known)

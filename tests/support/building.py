@@ -37,7 +37,7 @@ def replace_in_sources(folder: Path, changes: dict[str, str]) -> Library:
         assert texts[path].count(right) == 1, right
         path.write_text(texts[path].replace(right, wrong), encoding="utf-8")
     script.VARIANTS = {script.BASELINE: ()}
-    script.FLAGS = tuple(flag if flag != "-O3" else "-O1" for flag in script.FLAGS)
+    script.FLAGS = tuple(flag if flag != "-O3" else "-O0" for flag in script.FLAGS)
     script.build(folder)
     made = load(copy)
     assert made.core is not None, made.note
