@@ -13,6 +13,7 @@ from arms import Bench
 from prioritized_ik import rendering
 from prioritized_ik.errors import InputError
 from prioritized_ik.models import Arm
+from prioritized_ik.solvers import registry
 
 if TYPE_CHECKING:
     import playwright.sync_api
@@ -119,3 +120,12 @@ def python_path() -> Iterator[None]:
     """Only the Python form of the solve answers: what is tested is its bits, or its own parts."""
     with paths.only("python"):
         yield
+
+
+@pytest.fixture
+def sabotage(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The solvers of `saboteurs` are the ones that were added."""
+    import saboteurs
+
+    monkeypatch.setattr(registry, "_added", {})
+    saboteurs.register_all()

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import polars
 import pytest
-import saboteurs
 from click.testing import CliRunner, Result
 
 import prioritized_ik as pik
@@ -19,7 +18,6 @@ from comparisons.store import Store
 from comparisons.summary import Row, summarise
 from prioritized_ik.cli import main
 from prioritized_ik.problem import Bounds, replaced
-from prioritized_ik.solvers import registry
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.lexicographic import SolveOptions
 
@@ -47,12 +45,6 @@ kind = "joint-range"
 kind = "velocity"
 fastest = 1.0
 """
-
-
-@pytest.fixture
-def sabotage(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "_added", {})
-    saboteurs.register_all()
 
 
 @pytest.fixture

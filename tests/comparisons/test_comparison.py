@@ -39,12 +39,6 @@ LINK = 13
 SMALL = {"directions": ("up",), "link": (LINK,), "repeats": 1, "mink": False, "drive": False, "workers": 2}
 
 
-@pytest.fixture
-def sabotage(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "_added", {})
-    saboteurs.register_all()
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("recorded")

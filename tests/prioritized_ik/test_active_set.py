@@ -7,6 +7,7 @@ import pytest
 from hierarchies import EVERYTHING, KnownHierarchy, random_hierarchy, solution_on
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from oracles import norm_error
 from tolerances import ORACLE, ROUNDING
 from winding_fixtures import AS_RECORDED, constrained_steps, free_steps
 
@@ -48,10 +49,6 @@ def from_answer(hierarchy: Hierarchy, answer: np.ndarray) -> Solution:
 def holds(found: Solution) -> bool:
     """Whether the optimum is claimed; what is said of the step is that step's own proof."""
     return found.proof.certificate.holds
-
-
-def error(found: np.ndarray, truth: np.ndarray) -> float:
-    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
 
 
 def bits(step: np.ndarray) -> bytes:
@@ -161,7 +158,7 @@ def test_a_perturbed_answer_leads_to_the_same_bits_unless_rounding_leaves_the_op
     assert certificate.is_optimal
     assert holds(wanted) or certificate.variation > UNDECIDED
     assert wanted.converged == holds(wanted)
-    assert error(wanted.u, known.dtheta) <= BLURRED
+    assert norm_error(wanted.u, known.dtheta) <= BLURRED
     for name in ("rounding", "noise", "much noise") if holds(wanted) else ():
         found = from_answer(hierarchy, starts(known)[name])
         assert holds(found), name
@@ -178,7 +175,7 @@ def test_a_wrong_guess_leads_to_the_same_bits_or_to_no_claim(seed):
     known = random_hierarchy(seed, CALM, joints=(3, 25), levels=(1, 4))
     hierarchy = hierarchy_of(known)
     wanted = from_answer(hierarchy, known.dtheta).u
-    assert error(wanted, known.dtheta) <= ORACLE
+    assert norm_error(wanted, known.dtheta) <= ORACLE
     for name, start in starts(known).items():
         found = from_answer(hierarchy, start)
         assert found.converged == holds(found)
@@ -300,8 +297,8 @@ def test_on_the_rows_that_the_optimum_ends_on_the_solution_is_the_optimum(seed):
     known = random_hierarchy(seed, CALM, joints=(2, 25))
     hierarchy = hierarchy_of(known)
     found = face_solution(hierarchy, active_at(hierarchy, known.dtheta))
-    assert error(found, known.dtheta) <= ORACLE
-    assert error(found, solution_on(known.problem, known.presses, known.dtheta)) <= ORACLE
+    assert norm_error(found, known.dtheta) <= ORACLE
+    assert norm_error(found, solution_on(known.problem, known.presses, known.dtheta)) <= ORACLE
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -327,7 +324,7 @@ def test_the_rows_of_a_face_hold_to_the_roundings_of_the_step_however_far_the_le
     corner = rng.normal(size=3)
     matrix = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     problem = IKProblem([Level(np.eye(3), far * np.ones(3))], rows=Rows(matrix, matrix @ corner))
-    assert error(face_solution(Hierarchy(problem), np.ones(3, dtype=bool)), corner) <= ROUNDING
+    assert norm_error(face_solution(Hierarchy(problem), np.ones(3, dtype=bool)), corner) <= ROUNDING
 
 
 ONE_AND_A_LITTLE = IKProblem(
@@ -433,7 +430,7 @@ def test_a_certificate_that_holds_for_anything_would_be_noticed(monkeypatch):
 
     monkeypatch.setattr(active_set, "Proof", Lenient)
     found = from_answer(Hierarchy(BOXED), np.array([0.5, 1.0, 0.6]))
-    assert error(found.u, OPTIMUM) > 1e-2
+    assert norm_error(found.u, OPTIMUM) > 1e-2
     assert not certify(BOXED, found.u).holds
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from arms import bent_arm
 
 from prioritized_ik import (
     Collision,
@@ -33,7 +34,7 @@ FOUND = Path(_wheel.submodule_search_locations[0]) if _wheel and _wheel.submodul
 
 def _crossing() -> tuple[Robot, list, list]:
     """An arm at 2 rad/s with a tool that is to stay where it is while it turns."""
-    robot = example("arm", [0.3, 0.5, 0.2, 1.2, 0.1, 0.6, 0.0])
+    robot = bent_arm()
     swung = Posture(robot, robot.q + np.array([0.0, 0.0, 1.5, 0.0, 0.0, 0.0, 0.0]), gain=0.2)
     return robot, [Position(robot, site="tool"), swung], [JointRange(robot), Velocity(robot, 6.0)]
 

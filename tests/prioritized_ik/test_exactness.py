@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hierarchies import EVERYTHING, KnownHierarchy, Press, random_hierarchy, settled_before, solution_on
+from oracles import norm_error
 from tolerances import ORACLE, ROUNDING
 from winding_fixtures import AS_RECORDED, QP_ONLY, constrained_steps, free_steps
 
@@ -32,10 +33,6 @@ BROKEN = 1e-6  # of a step: a bound exceeded by this is what the solve still acc
 ELSEWHERE = 1e-3  # of a step: another answer, and not the same one by another way
 
 
-def error(found: np.ndarray, truth: np.ndarray) -> float:
-    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
-
-
 def matrix_of_rank(rng: np.random.Generator, rows: int, joints: int, rank: int) -> np.ndarray:
     """A matrix whose singular values that are not zero lie between 0.3 and 1: nothing here is a matter of conditioning."""
     left = np.linalg.qr(rng.normal(size=(rows, rank)))[0]
@@ -58,7 +55,7 @@ def test_one_level_is_eqs_12_and_14(shape, seed, options):
     level = one_level(shape, seed)
     factors = rank_decomposition_svd(level.matrix)
     wanted = minimum_norm_solution(factors.j_b, weighted_optimum(factors.j_a, level.weights, level.target))
-    assert error(solve(IKProblem([level]), "daqp", options).dtheta, wanted) <= ROUNDING
+    assert norm_error(solve(IKProblem([level]), "daqp", options).dtheta, wanted) <= ROUNDING
 
 
 @both_ways
@@ -70,7 +67,7 @@ def test_one_level_with_a_reference_is_eqs_12_and_13(shape, seed, options):
     factors = rank_decomposition_svd(level.matrix)
     wanted = general_solution(factors.j_b, weighted_optimum(factors.j_a, level.weights, level.target), reference)
     step = solve(IKProblem([level], reference=reference), "daqp", options)
-    assert error(step.dtheta, wanted) <= ROUNDING
+    assert norm_error(step.dtheta, wanted) <= ROUNDING
 
 
 @both_ways
@@ -80,7 +77,7 @@ def test_one_level_is_the_weighted_pseudo_inverse(shape, seed, options):
     level = one_level(shape, seed)
     root = np.sqrt(level.weights)
     wanted = np.linalg.pinv(root[:, None] * level.matrix, rcond=1e-9) @ (root * level.target)
-    assert error(solve(IKProblem([level]), "daqp", options).dtheta, wanted) <= ROUNDING
+    assert norm_error(solve(IKProblem([level]), "daqp", options).dtheta, wanted) <= ROUNDING
 
 
 @both_ways
@@ -91,7 +88,7 @@ def test_the_free_steps_of_a_winding_are_eqs_12_and_13(options):
         factors = rank_decomposition_svd(level.matrix)
         dx_b = weighted_optimum(factors.j_a, level.weights, level.target)
         wanted = general_solution(factors.j_b, dx_b, problem.reference)
-        assert error(solve(problem, "daqp", options).dtheta, wanted) <= ORACLE
+        assert norm_error(solve(problem, "daqp", options).dtheta, wanted) <= ORACLE
 
 
 # More levels: the formulas of Nakamura, and Siciliano and Slotine.
@@ -140,7 +137,7 @@ def some_levels(seed: int, ranks: list[int], joints: int, extra: int = 0) -> lis
 def test_two_levels_are_the_formula_of_nakamura(seed, options):
     first, second = some_levels(seed, [3, 4], 9)
     step = solve(IKProblem([first, second]), "daqp", options)
-    assert error(step.dtheta, nakamura(first, second)) <= ORACLE
+    assert norm_error(step.dtheta, nakamura(first, second)) <= ORACLE
 
 
 @both_ways
@@ -151,7 +148,7 @@ def test_levels_are_the_formula_of_siciliano_and_slotine_with_the_reference_last
     levels = some_levels(seed, ranks, 7)
     reference = np.random.default_rng(seed).normal(size=7)
     step = solve(IKProblem(levels, reference=reference), "daqp", options)
-    assert error(step.dtheta, siciliano_slotine(levels, reference)) <= ORACLE
+    assert norm_error(step.dtheta, siciliano_slotine(levels, reference)) <= ORACLE
 
 
 @both_ways
@@ -160,7 +157,7 @@ def test_levels_of_more_rows_than_rank_are_the_weighted_formula(seed, options):
     levels = some_levels(seed, [3, 2, 3], 10, extra=2)
     reference = np.random.default_rng(seed).normal(size=10)
     step = solve(IKProblem(levels, reference=reference), "daqp", options)
-    assert error(step.dtheta, siciliano_slotine(levels, reference)) <= ORACLE
+    assert norm_error(step.dtheta, siciliano_slotine(levels, reference)) <= ORACLE
 
 
 @both_ways
@@ -170,9 +167,9 @@ def test_a_level_below_that_repeats_and_contradicts_one_above_changes_only_what_
     rng = np.random.default_rng(seed)
     repeated = Level(np.vstack([first.matrix, second.matrix]), np.append(rng.normal(size=3), second.target))
     one, other = (solve(IKProblem([first, level]), "daqp", options).dtheta for level in (repeated, second))
-    assert error(first.matrix @ one, first.target) <= ORACLE
-    assert error(one, siciliano_slotine([first, repeated], np.zeros(8))) <= ORACLE
-    assert error(other, siciliano_slotine([first, second], np.zeros(8))) <= ORACLE
+    assert norm_error(first.matrix @ one, first.target) <= ORACLE
+    assert norm_error(one, siciliano_slotine([first, repeated], np.zeros(8))) <= ORACLE
+    assert norm_error(other, siciliano_slotine([first, second], np.zeros(8))) <= ORACLE
 
 
 @both_ways
@@ -184,7 +181,7 @@ def test_a_large_weight_approaches_the_strict_order_as_fast_as_one_over_itself(s
     gaps = []
     for k in range(2, 9):
         weighted = Level(matrix, target, np.repeat([10.0**k, 1.0], 4))
-        gaps.append(error(solve(IKProblem([weighted]), "daqp", options).dtheta, strict))
+        gaps.append(norm_error(solve(IKProblem([weighted]), "daqp", options).dtheta, strict))
     assert gaps[0] > SABOTAGED
     # Each decade of weight takes nine tenths off the gap, down to 1e-8 where 16 digits hold eight decades of weight.
     ratios = np.array(gaps[1:]) / np.array(gaps[:-1])
@@ -196,7 +193,7 @@ def test_a_hard_row_that_holds_nothing_back_leaves_the_formula():
     wanted = siciliano_slotine(levels, np.zeros(8))
     rows = Rows(np.eye(8)[:2], wanted[:2] + 1.0)
     step = solve(IKProblem(levels, rows=rows), "daqp", QP_ONLY)
-    assert error(step.dtheta, wanted) <= ORACLE
+    assert norm_error(step.dtheta, wanted) <= ORACLE
     assert step.tight_rows == ()
 
 
@@ -269,7 +266,7 @@ def test_a_step_without_one_of_its_rows_is_not_certified(seed, family):
     known = family(seed)
     for i in range(len(known.presses)):
         wrong = solution_on(known.problem, (*known.presses[:i], *known.presses[i + 1 :]), known.dtheta)
-        if error(wrong, known.dtheta) > SABOTAGED:
+        if norm_error(wrong, known.dtheta) > SABOTAGED:
             assert not certify(known.problem, wrong).holds
 
 
@@ -280,7 +277,7 @@ def test_a_step_held_by_a_row_that_does_not_press_is_not_certified(seed, family)
     for index in set(range(len(known.problem.rows.upper))) - pressed:
         held = (Press(0, "row", index, 1.0), *known.presses)
         wrong = solution_on(known.problem, held, known.dtheta)
-        if error(wrong, known.dtheta) > SABOTAGED:
+        if norm_error(wrong, known.dtheta) > SABOTAGED:
             assert not certify(known.problem, wrong).holds
 
 
@@ -293,7 +290,7 @@ def test_the_optimum_of_the_levels_in_another_order_is_not_certified(seed, famil
         problem = known.problem
         other = IKProblem(swapped, problem.bounds, problem.rows, problem.reference, problem.equalities)
         step = get_method("daqp").step(other, QP_ONLY)
-        if step.status is StepStatus.SOLVED and error(step.dtheta, known.dtheta) > ELSEWHERE:
+        if step.status is StepStatus.SOLVED and norm_error(step.dtheta, known.dtheta) > ELSEWHERE:
             assert not certify(problem, step.dtheta).holds
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 from hierarchies import exhausted_optimum, random_hierarchy
+from oracles import norm_error
 from tolerances import ROUNDING
 from winding_fixtures import AS_RECORDED, QP_ONLY, constrained_steps, free_steps
 
@@ -57,10 +58,6 @@ def built_backwards(seed: int) -> tuple[IKProblem, np.ndarray]:
     return IKProblem([Level(a, a @ optimum + residual, weights)], rows=rows, reference=reference), optimum
 
 
-def error(found: np.ndarray, truth: np.ndarray) -> float:
-    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
-
-
 @pytest.mark.parametrize("solver", ["proxqp", "daqp"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_problem_built_backwards_from_its_optimum_is_solved(seed, solver):
@@ -68,7 +65,7 @@ def test_a_problem_built_backwards_from_its_optimum_is_solved(seed, solver):
     step = solve(problem, get_method(solver), QP_ONLY)
     assert step.status is StepStatus.SOLVED
     assert step.certificate.holds
-    assert error(step.dtheta, optimum) <= ROUNDING
+    assert norm_error(step.dtheta, optimum) <= ROUNDING
 
 
 @pytest.mark.parametrize("solver", ["proxqp", "daqp"])
@@ -77,7 +74,7 @@ def test_a_problem_built_backwards_is_solved_by_the_stages_alone(seed, solver):
     problem, optimum = built_backwards(seed)
     step = solve(problem, solver, RAW)
     assert np.array_equal(step.dtheta, step.raw)
-    assert error(step.raw, optimum) <= EXACT
+    assert norm_error(step.raw, optimum) <= EXACT
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -169,8 +166,8 @@ def test_without_the_closed_form_first_the_solver_finds_the_same_step():
     for problem in free_steps():
         step, wanted = solve(problem, "daqp", AS_RECORDED), strict_solution(problem.levels, problem.reference)
         assert step.status is StepStatus.SOLVED
-        assert error(step.dtheta, wanted) <= ROUNDING
-        assert error(step.raw, wanted) <= EXACT
+        assert norm_error(step.dtheta, wanted) <= ROUNDING
+        assert norm_error(step.raw, wanted) <= EXACT
 
 
 def test_trying_the_closed_form_first_does_not_change_a_constrained_step():
@@ -663,7 +660,7 @@ def test_frozen_joints_stay_and_the_others_are_bounded_least_squares(seed):
     for solver in FEW:
         step = solve(IKProblem([Level(matrix, target)], Bounds(-limit, limit)), solver)
         assert step.certificate.holds, solver
-        assert error(step.dtheta, wanted) <= EXACT, solver
+        assert norm_error(step.dtheta, wanted) <= EXACT, solver
 
 
 @pytest.mark.parametrize("cost", [1e-2, 1e-3, 1e-4, 1e-5, 1e-6])
@@ -695,7 +692,7 @@ def test_steps_scale_with_the_time_step():
             for solver in FEW:
                 step = solve(problem(seed, dt), solver)
                 assert step.certificate.holds
-                assert error(step.dtheta, dt * wanted) <= EXACT
+                assert norm_error(step.dtheta, dt * wanted) <= EXACT
 
 
 @pytest.mark.parametrize("decades", [2, 4, 6, 8])

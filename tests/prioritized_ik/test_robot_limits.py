@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from arms import bent_arm
 from scipy.optimize import linprog
 
 from prioritized_ik import (
@@ -36,12 +37,8 @@ def _run(robot, levels, limits, steps):
     return np.array(velocities)
 
 
-def _arm() -> Robot:
-    return example("arm", [0.3, 0.5, 0.2, 1.2, 0.1, 0.6, 0.0])
-
-
 def test_a_joint_that_is_driven_to_its_stop_brakes_in_time_and_ends_on_it():
-    robot = _arm()
+    robot = bent_arm()
     stop = Posture(robot, [5.0, 5.0, 0.2, -5.0, 0.1, 0.6, 5.0])
     limits = [JointRange(robot), Velocity(robot, 3.0), Acceleration(robot, GREATEST)]
     velocities = _run(robot, [stop], limits, 400)
@@ -53,14 +50,14 @@ def test_a_joint_that_is_driven_to_its_stop_brakes_in_time_and_ends_on_it():
 
 
 def test_without_the_limit_the_same_joint_stops_at_once():
-    robot = _arm()
+    robot = bent_arm()
     stop = Posture(robot, [5.0, 5.0, 0.2, -5.0, 0.1, 0.6, 5.0])
     velocities = _run(robot, [stop], [JointRange(robot), Velocity(robot, 3.0)], 400)
     assert np.abs(np.diff(velocities, axis=0) / DT).max() > 100.0
 
 
 def test_acceleration_by_joint_leaves_the_others_free():
-    robot = _arm()
+    robot = bent_arm()
     names = robot.names("joint")
     limit = Acceleration(robot, {names[0]: 1.0, names[3]: 2.0})
     velocities = _run(robot, [Posture(robot, robot.q + 0.5)], [limit], 1)
@@ -69,7 +66,7 @@ def test_acceleration_by_joint_leaves_the_others_free():
 
 
 def test_a_moving_arm_that_meets_an_object_stops_there_whatever_its_acceleration():
-    robot = example("arm", [0.3, 0.5, 0.2, 1.2, 0.1, 0.6, 0.0])
+    robot = bent_arm()
     table = Collision(robot, [("hand", "table")])
     down = Position(robot, robot.position(robot.frame(site="tool")) - [0.0, 0.0, 0.6], site="tool")
     limits = [table, Velocity(robot, 2.0), Acceleration(robot, 0.5)]
@@ -308,7 +305,7 @@ def _standing(robot, **options):
 
 
 def _without_gravity():
-    robot = _arm()
+    robot = bent_arm()
     robot.model.opt.gravity[:] = 0.0
     return robot
 
@@ -338,4 +335,4 @@ BAD = {
 @pytest.mark.parametrize(("ask", "message"), BAD.values(), ids=BAD.keys())
 def test_bad_input_is_one_clear_message(ask, message):
     with pytest.raises(InputError, match=message):
-        ask(_arm())
+        ask(bent_arm())

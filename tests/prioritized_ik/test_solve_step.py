@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from arms import bent_arm
 
 from prioritized_ik import (
     CentreOfMass,
@@ -24,12 +25,8 @@ from prioritized_ik import (
 DT = 0.01
 
 
-def _bent_arm() -> Robot:
-    return example("arm", [0.3, 0.5, 0.2, 1.2, 0.1, 0.6, 0.0])
-
-
 def test_two_limits_on_one_pair_of_geoms_have_rows_of_their_own():
-    robot = _bent_arm()
+    robot = bent_arm()
     limits = [Collision(robot, [("hand", "table")], min_distance=least, margin=1.0) for least in (0.02, 0.05)]
     problem = solve_step(robot, [Position(robot, site="tool")], limits, DT).problem
     assert len(set(problem.rows.names)) == len(problem.rows.upper) >= 2
@@ -48,7 +45,7 @@ def _run(robot, levels, limits, steps):
 
 
 def test_an_arm_drawn_out_of_reach_and_back_is_calm_and_returns():
-    robot = _bent_arm()
+    robot = bent_arm()
     hand = Position(robot, site="tool", gain=0.2)
     start = hand.target
     limits = [JointRange(robot), Velocity(robot, 2.0)]
@@ -191,7 +188,7 @@ def test_gain_and_margin_slow_the_way_to_the_end_of_the_range():
 
 
 def test_reach_ends_reached():
-    robot = _bent_arm()
+    robot = bent_arm()
     hand = Position(robot, robot.position(robot.frame(site="tool")) + 0.05, site="tool")
     end = reach(robot, [hand, Posture(robot)], [JointRange(robot), Velocity(robot, 2.0)])
     assert end.ending is Ending.REACHED
@@ -200,7 +197,7 @@ def test_reach_ends_reached():
 
 
 def test_reach_ends_out_of_reach_at_the_nearest_point():
-    robot = _bent_arm()
+    robot = bent_arm()
     model = robot.model
     hand = Position(robot, [0.0, 1.0, 2.0], site="tool")
     end = reach(robot, [hand], dt=0.05)
@@ -221,7 +218,7 @@ def test_reach_ends_stuck_and_names_what_holds_it():
 
 
 def test_reach_ends_out_of_steps():
-    robot = _bent_arm()
+    robot = bent_arm()
     end = reach(robot, [Position(robot, [0.4, 0.1, 0.5], site="tool")], [Velocity(robot, 0.1)], max_steps=3)
     assert (end.ending, end.steps) == (Ending.OUT_OF_STEPS, 3)
 
@@ -270,7 +267,7 @@ def test_at_rest_with_targets_along_straight_arms_and_out_of_reach_every_step_is
 
 
 def test_reach_says_which_joint_is_at_its_stop():
-    robot = _bent_arm()
+    robot = bent_arm()
     turned = Posture(robot, [0.3, 0.5, 0.2, -0.4, 0.1, 0.6, 0.0], gain=0.5)
     end = reach(robot, [turned], [JointRange(robot)])
     assert end.ending is Ending.STUCK, str(end)
@@ -300,7 +297,7 @@ BAD = {
 @pytest.mark.parametrize(("ask", "message"), BAD.values(), ids=BAD.keys())
 def test_bad_input_is_one_clear_message(ask, message):
     with pytest.raises(InputError, match=message):
-        ask(_bent_arm())
+        ask(bent_arm())
 
 
 @pytest.mark.parametrize(
@@ -311,7 +308,7 @@ def test_bad_input_is_one_clear_message(ask, message):
     ],
 )
 def test_what_a_task_was_given_after_it_was_made_is_checked_too(field, value, message):
-    robot = _bent_arm()
+    robot = bent_arm()
     task = Position(robot, robot.q[:3], site="tool")
     setattr(task, field, value)
     with pytest.raises(InputError, match=message):
@@ -319,7 +316,7 @@ def test_what_a_task_was_given_after_it_was_made_is_checked_too(field, value, me
 
 
 def test_jacobians_of_a_users_task_stay_theirs():
-    robot = _bent_arm()
+    robot = bent_arm()
 
     class Kept(Position):
         def _rows(self, robot):

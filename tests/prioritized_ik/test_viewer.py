@@ -15,6 +15,7 @@ import imageio_ffmpeg
 import mujoco
 import numpy as np
 import pytest
+from arms import bent_arm
 from click.testing import CliRunner
 from PIL import Image, ImageSequence
 from repository import ROOT
@@ -31,10 +32,6 @@ DT = 0.05  # [s]
 SMALL = (160, 120)  # [pixels]
 
 
-def arm() -> pik.Robot:
-    return pik.example("arm", q=[0.3, 0.5, 0.2, 1.2, 0.1, 0.6, 0.0])
-
-
 def green(drawn: np.ndarray) -> np.ndarray:
     """Where a picture has the colour of targets that are met."""
     red, green, blue = np.moveaxis(drawn.astype(int), 2, 0)
@@ -42,7 +39,7 @@ def green(drawn: np.ndarray) -> np.ndarray:
 
 
 def test_a_target_is_marked_where_it_is_and_joined_to_the_frame_that_is_not_there() -> None:
-    robot = arm()
+    robot = bent_arm()
     here = robot.position(robot.frame(site="tool"))
     task = pik.Position(robot, here, site="tool")
     (ball,) = marks_of(robot, [task])
@@ -55,7 +52,7 @@ def test_a_target_is_marked_where_it_is_and_joined_to_the_frame_that_is_not_ther
 
 
 def test_every_kind_of_task_with_a_place_in_the_world_is_marked() -> None:
-    robot = arm()
+    robot = bent_arm()
     tasks = [
         pik.Position(robot, site="tool"), pik.Pose(robot, site="tool"), pik.Orientation(robot, site="tool"),
         pik.Axis(robot, [0, 0, 1], site="tool"), pik.LookAt(robot, [1, 0, 0], site="tool"), pik.CentreOfMass(robot),
@@ -65,14 +62,14 @@ def test_every_kind_of_task_with_a_place_in_the_world_is_marked() -> None:
 
 
 def test_a_centre_of_mass_that_is_free_to_rise_is_marked_at_its_own_height() -> None:
-    robot = arm()
+    robot = bent_arm()
     mass = pik.CentreOfMass(robot, [0.1, 0.2, 9.0], weights=[1, 1, 0])
     ball = marks_of(robot, [mass])[0]
     np.testing.assert_array_equal(ball.start, [0.1, 0.2, robot.data.subtree_com[0, 2]])
 
 
 def test_geoms_near_each_other_are_joined_in_the_colour_of_what_holds() -> None:
-    robot = arm()
+    robot = bent_arm()
     limit = pik.Collision(robot, [("hand", "table")], margin=2.0)
     (line,) = marks_of(robot, [], [limit])
     length = float(np.linalg.norm(line.end - line.start))
@@ -83,7 +80,7 @@ def test_geoms_near_each_other_are_joined_in_the_colour_of_what_holds() -> None:
 
 
 def test_the_panel_says_who_gives_way_and_to_what() -> None:
-    robot = arm()
+    robot = bent_arm()
     hand, low = pik.Position(robot, site="tool"), pik.Position(robot, site="tool")
     low.target = hand.target - np.array([0.0, 0.0, 0.02])
     levels, limits = [[hand], [low]], [pik.JointRange(robot)]
@@ -93,7 +90,7 @@ def test_the_panel_says_who_gives_way_and_to_what() -> None:
 
 
 def test_the_panel_names_the_limit_that_holds_a_level_back() -> None:
-    robot = arm()
+    robot = bent_arm()
     elbow = pik.JointCoupling(robot, {"elbow": 1.0}, target=1.5)
     limits = [pik.Velocity(robot, {"elbow": 1.0})]
     (line,) = lines_of(robot, [[elbow]], pik.solve_step(robot, [elbow], limits, DT, damping=0.0))
@@ -101,10 +98,10 @@ def test_the_panel_names_the_limit_that_holds_a_level_back() -> None:
 
 
 def test_the_panel_skips_the_recovery_of_limits() -> None:
-    robot = arm()
+    robot = bent_arm()
     robot.data.joint("elbow").qpos = -0.1  # below its range
     robot.update()
-    levels, limits = [pik.Posture(robot, arm().q)], [pik.JointRange(robot)]
+    levels, limits = [pik.Posture(robot, bent_arm().q)], [pik.JointRange(robot)]
     motion = pik.solve_step(robot, levels, limits, DT)
     assert len(motion.problem.levels) == 2
     (line,) = lines_of(robot, [levels], motion)
@@ -120,7 +117,7 @@ def test_two_tasks_of_a_kind_share_a_name_and_more_are_counted() -> None:
 
 
 def test_a_picture_shows_the_target_where_the_camera_sees_it(renders: None) -> None:
-    robot = pik.Robot(arm().model)
+    robot = pik.Robot(bent_arm().model)
     camera = Camera(azimuth=90, elevation=0, distance=2.0, lookat=(0.0, 0.0, 0.5))
     sides = []
     for x in (-0.5, 0.5):
@@ -148,7 +145,7 @@ def test_a_picture_of_a_model_without_light_or_sky_is_not_dark_and_its_model_is_
 
 
 def test_the_panel_is_drawn_over_the_picture(renders: None) -> None:
-    robot = arm()
+    robot = bent_arm()
     bare, told = (picture(robot, [pik.Posture(robot)], panel=panel, size=SMALL) for panel in (False, True))
     different = np.abs(bare.astype(int) - told).sum(2) > 0
     assert different[: SMALL[1] // 3].any()
@@ -157,7 +154,7 @@ def test_the_panel_is_drawn_over_the_picture(renders: None) -> None:
 
 @pytest.mark.parametrize("kind", [".gif", ".webp", ".png", ".mp4"])
 def test_a_film_has_a_frame_a_step_and_a_picture_the_last(renders: None, tmp_path: Path, kind: str) -> None:
-    robot = arm()
+    robot = bent_arm()
     file = tmp_path / f"film{kind}"
     with Film(file, robot, size=SMALL, rate=10.0) as film:
         for turn in (0.0, 0.5, 1.0):
@@ -178,20 +175,20 @@ def test_a_film_has_a_frame_a_step_and_a_picture_the_last(renders: None, tmp_pat
 
 
 def test_a_film_that_fails_or_has_no_frame_leaves_no_file(renders: None, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="site 'nothing'"), Film(tmp_path / "a.gif", arm(), size=SMALL) as film:
-        film.add(pik.Position(arm(), site="nothing"))
-    with pytest.raises(InputError, match="has no frame; expected add"), Film(tmp_path / "b.gif", arm(), size=SMALL):
+    with pytest.raises(InputError, match="site 'nothing'"), Film(tmp_path / "a.gif", bent_arm(), size=SMALL) as film:
+        film.add(pik.Position(bent_arm(), site="nothing"))
+    with pytest.raises(InputError, match="has no frame; expected add"), Film(tmp_path / "b.gif", bent_arm(), size=SMALL):
         pass
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_film_of_another_kind_is_refused_before_anything_moves() -> None:
     with pytest.raises(InputError, match=r"unknown kind of picture '.avi'; choose one of: .png, .gif"):
-        Film("reach.avi", arm())
+        Film("reach.avi", bent_arm())
 
 
 def test_the_page_answers_on_this_machine_alone_and_is_shown_what_the_panel_says() -> None:
-    robot = arm()
+    robot = bent_arm()
     task = pik.Position(robot, [0.5, 0.2, 0.3], site="tool")
     with View(robot, [task], [pik.JointRange(robot)], place="page", port=0) as view:
         assert view.address.startswith("http://127.0.0.1:")
@@ -280,7 +277,7 @@ class Handle:
 
 def test_a_window_shows_marks_and_the_panel_in_letters_that_its_fonts_have(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("mujoco.viewer.launch_passive", Handle)
-    robot = pik.example("arm", q=[0.3, 0.5, 0.2, 1.2, 0.1, 0.6, 0.0])
+    robot = bent_arm()
     tool = pik.Position(robot, [0.55, 0.2, 0.3], site="tool")
     levels = [tool, pik.Axis(robot, [0.0, 0.0, -1.0], site="tool")]
     levels[1].name = "axis – of Ω"

@@ -8,6 +8,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from hierarchies import EVERYTHING, random_hierarchy
+from oracles import norm_error
 from winding_fixtures import QP_ONLY, constrained_steps
 
 from prioritized_ik.errors import InputError, WitnessError
@@ -26,10 +27,6 @@ RANK = 1e-4  # the library's rank tolerance, to which matrices are cut
 WELL_SCALED = EVERYTHING - {"weights", "scales", "degenerate"}  # no spread of six decades, no blurred tight row
 
 
-def error(found: np.ndarray, truth: np.ndarray) -> float:
-    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
-
-
 def one_level(level: Level, **hard: object) -> np.ndarray:
     return witness_step(IKProblem([level], **hard))
 
@@ -43,7 +40,7 @@ def test_without_rows_the_witness_is_the_closed_form(count, seed):
     rng = np.random.default_rng([seed, count])
     levels = [Level(rng.normal(size=(4, 20)), rng.normal(size=4), rng.uniform(0.1, 10.0, 4)) for _ in range(count)]
     problem = IKProblem(levels, reference=rng.normal(size=20))
-    assert error(witness_step(problem), strict_solution(problem.levels, problem.reference)) <= OPTIMUM
+    assert norm_error(witness_step(problem), strict_solution(problem.levels, problem.reference)) <= OPTIMUM
 
 
 def test_a_level_that_asks_too_much_of_too_few_directions_is_met_in_least_squares():
@@ -51,7 +48,7 @@ def test_a_level_that_asks_too_much_of_too_few_directions_is_met_in_least_square
     level = Level(rng.normal(size=(9, 3)) @ rng.normal(size=(3, 12)), rng.normal(size=9), rng.uniform(0.1, 10.0, 9))
     root = np.sqrt(level.weights)
     truth = np.linalg.pinv(root[:, None] * level.matrix, rcond=1e-9) @ (root * level.target)
-    assert error(one_level(level), truth) <= OPTIMUM
+    assert norm_error(one_level(level), truth) <= OPTIMUM
 
 
 def test_what_no_level_feels_goes_to_the_reference():
@@ -168,7 +165,7 @@ def test_a_joint_whose_bounds_are_one_stays_there():
 def test_the_witness_finds_an_optimum_that_was_chosen_first(seed):
     known = random_hierarchy(seed, WELL_SCALED, joints=(2, 60), levels=(1, 6))
     step = witness_step(known.problem)
-    assert error(step, known.dtheta) <= OPTIMUM
+    assert norm_error(step, known.dtheta) <= OPTIMUM
     assert known.problem.relative_violation(step) <= OPTIMUM
     for level in known.problem.levels:
         least = level.cost(known.dtheta)
@@ -186,7 +183,7 @@ def test_steps_of_a_tenth_of_a_milliradian_are_as_accurate_as_those_of_a_thousan
         scale * problem.reference,
         Equalities(problem.equalities.matrix, scale * problem.equalities.target),
     )
-    assert error(witness_step(scaled), scale * known.dtheta) <= OPTIMUM
+    assert norm_error(witness_step(scaled), scale * known.dtheta) <= OPTIMUM
 
 
 def cut(level: Level) -> Level:
@@ -202,7 +199,7 @@ def test_the_library_and_the_witness_agree_on_constrained_winding_steps():
         same = IKProblem(levels, problem.bounds, problem.rows, problem.reference)
         step, reference = solve(same, "daqp", QP_ONLY).dtheta, witness_step(same)
         assert abs(level.cost(step) - level.cost(reference)) <= COST * level.cost(np.zeros_like(step))
-        assert error(step, reference) <= AGREE
+        assert norm_error(step, reference) <= AGREE
 
 
 # Solvers.
@@ -228,7 +225,7 @@ def test_the_solvers_that_come_with_cvxpy_are_there():
 @pytest.mark.parametrize("solver", sorted(set(witness_solvers()) - {"CLARABEL"}))
 def test_solvers_of_other_methods_agree(solver):
     for problem in small_problems():
-        assert error(witness_step(problem, solver), witness_step(problem)) <= AGREE
+        assert norm_error(witness_step(problem, solver), witness_step(problem)) <= AGREE
 
 
 def test_the_small_problems_bind():
@@ -270,8 +267,8 @@ def test_problems_of_one_shape_are_compiled_once(compilations):
     assert len(compilations) == 3  # two levels and the reference
     second = witness_step(free_problem(2))
     assert len(compilations) == 3
-    assert error(second, strict_solution(free_problem(2).levels, np.zeros(8))) <= OPTIMUM
-    assert error(first, strict_solution(free_problem(1).levels, np.zeros(8))) <= OPTIMUM
+    assert norm_error(second, strict_solution(free_problem(2).levels, np.zeros(8))) <= OPTIMUM
+    assert norm_error(first, strict_solution(free_problem(1).levels, np.zeros(8))) <= OPTIMUM
 
 
 def test_a_problem_of_another_shape_is_compiled_anew(compilations):

@@ -7,7 +7,9 @@ import mujoco
 import numpy as np
 from tolerances import WELL_CONDITIONED
 
+from prioritized_ik.examples import example
 from prioritized_ik.models import Arm, update_kinematics
+from prioritized_ik.robot import Robot
 from prioritized_ik.virtual_arms import VirtualArms
 
 
@@ -38,6 +40,11 @@ class Bench:
             if s[33] > WELL_CONDITIONED * s[0]:
                 count -= 1
                 yield q
+
+
+def bent_arm() -> Robot:
+    """The arm of the examples, clear of its limits and of the table."""
+    return example("arm", [0.3, 0.5, 0.2, 1.2, 0.1, 0.6, 0.0])
 
 
 def central_difference(

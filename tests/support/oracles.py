@@ -12,6 +12,7 @@ Request = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def norm_error(found: np.ndarray, truth: np.ndarray) -> float:
+    """How far a vector is off, relative to the true one."""
     return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
 
 
