@@ -3,6 +3,7 @@ import pickle
 
 import numpy as np
 import pytest
+from digits import judged
 from trees import ball_chain, random_problem, random_tree, rotation
 
 from prioritized_ik.errors import InputError
@@ -18,7 +19,7 @@ from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
 from prioritized_ik.solvers.tree.elimination import Elimination
 from prioritized_ik.solvers.tree.factors import HELD
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.solvers.tree.step import PATH
+from prioritized_ik.solvers.tree.step import PATH, tree_step
 
 ALONG_LINKS, BY_MATRICES = SolveOptions(kinematics="tree"), SolveOptions(kinematics="dense")
 
@@ -323,6 +324,50 @@ def test_options_travel(proven):
     assert dataclasses.asdict(ALONG_LINKS)["kinematics"] == "tree"
 
 
+def _nearly_straight(seed: int, links: int = 7) -> IKProblem:
+    rng = np.random.default_rng(seed)
+    bend, kinks, turned = 10.0 ** rng.uniform(-14, -4), int(rng.integers(0, 3)), bool(rng.integers(0, 2))
+    tree = ball_chain(rng, links, bend=bend, kinks=kinks, turned=turned)
+    levels, contacts = int(rng.integers(2, 4)), int(rng.integers(0, 5))
+    return random_problem(rng, tree, min(levels, links // 3), contacts=contacts, bound=10.0 ** rng.uniform(-2, -0.5))
+
+
+@pytest.mark.parametrize("first", [8, 16])
+def test_what_is_proven_of_nearly_straight_arms_is_the_optimum_to_150_digits(first):
+    proven = 0
+    for seed in range(first, first + 8):
+        problem = _nearly_straight(seed)
+        step = _step(problem, ALONG_LINKS)
+        if step.path != PATH or step.status is not StepStatus.SOLVED:
+            continue
+        proven += 1
+        verdict = judged(problem, step.active_rows)
+        assert verdict.is_optimum, (seed, verdict)
+        np.testing.assert_allclose(step.dtheta, verdict.u, atol=1e-8 * np.linalg.norm(verdict.u), err_msg=str(seed))
+    assert proven > 2
+
+
+def test_the_oracle_of_digits_sees_a_row_too_few_and_one_too_many():
+    problem = random_problem(np.random.default_rng(5), ball_chain(np.random.default_rng(5), 6), 2, contacts=3, bound=0.1)
+    step = _step(problem, ALONG_LINKS)
+    assert len(step.active_rows) > 3
+    assert judged(problem, step.active_rows).is_optimum
+    assert not any(judged(problem, set(step.active_rows) - {name}).is_optimum for name in step.active_rows[:3])
+    free = next(name for name in problem.bounds.names if not any(row.startswith(f"{name} ") for row in step.active_rows))
+    assert not any(judged(problem, [*step.active_rows, f"{free} {side}"]).is_optimum for side in ("upper", "lower"))
+
+
+@pytest.mark.parametrize("first", [12, 24])
+def test_where_both_forms_prove_a_step_of_a_nearly_straight_arm_it_is_the_same(first):
+    for seed in range(first, first + 12):
+        problem = _nearly_straight(seed)
+        step, dense = _step(problem, ALONG_LINKS), _step(problem, BY_MATRICES)
+        if step.status is dense.status is StepStatus.SOLVED:
+            np.testing.assert_allclose(
+                step.dtheta, dense.dtheta, atol=1e-7 * np.linalg.norm(dense.dtheta), err_msg=str(seed)
+            )
+
+
 @pytest.mark.parametrize(
     ("bend", "seed", "turned"), [(4e-11, 2, True), (1e-11, 1, True), (4e-11, 1, True), (1e-11, 1, False)]
 )
@@ -333,8 +378,10 @@ def test_a_step_of_a_nearly_straight_arm_that_is_proven_keeps_its_limits(bend, s
         turn = rotation(rng.normal(size=3))
         tree = KinematicTree(tree.parents, tree.angular @ turn.T, tree.linear, tree.anchors @ turn.T)
     problem = random_problem(rng, tree, 2, contacts=4, bound=0.05)
-    step = get_method("active-set").step(problem, SolveOptions(kinematics="tree"))
-    if step.dtheta is not None and step.status is not StepStatus.UNCERTIFIED:
+    found = tree_step(problem, 0.0)
+    if found is not None:
+        step, _ = found
+        assert step.dtheta is not None
         over = max(np.max(step.dtheta - problem.bounds.upper), np.max(problem.bounds.lower - step.dtheta))
         broken = np.max(problem.rows.matrix @ step.dtheta - problem.rows.upper)
         assert max(over, broken) <= 1e-8 * np.linalg.norm(step.dtheta)

@@ -25,6 +25,6 @@ What is answered, and what is left to the dense form:
 | a metric that couples joints, `noise` above the default | no |
 | a rank tolerance that cuts zeros alone (what is between is counted, in linear time) | yes |
 | a rank tolerance that cuts more | no |
-| arms and limbs that are straight or nearly so | yes, unless a level below another decides by less than 1e-9 |
+| arms and limbs that are straight or nearly so | yes, unless limits hold a level by less than about 1e-11 of its gradient |
 | rows in conflict, or a certificate without margin | no |
 """

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from prioritized_ik.solvers.certificate import FAR, Certificate
 from prioritized_ik.solvers.tree.factors import Factors
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAST_DEMAND, MARGIN, ROUNDING, UNDECIDED, UNFELT
+from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAST_DEMAND, MARGIN, NEARLY, NOISE, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, length
 
 #: [of the sum of the sizes of a sum's terms] What rounding leaves; that of one link's motion is in all rows beyond it alike
@@ -85,6 +85,8 @@ class TreeProof:
     Attributes:
         scale: length that relative figures refer to.
         levels: one proof a level, the last level's last; they end with the first that pulls.
+        is_unclear: whether an active bound or row pulls by so little, or one does that a level above holds by so little,
+            that it hangs on what counts as rounding which rows the step rests on.
     """
 
     def __init__(self, posed: PosedOnTree, factors: Factors, u: Array, active: ActiveSet, scale: float) -> None:
@@ -92,6 +94,8 @@ class TreeProof:
         m, c = len(u), len(active.held)
         self._frozen = posed.lower == posed.upper
         self._leak_of_bounds, self._leak_of_rows = np.full(m, np.inf), np.full(c, np.inf)
+        self._faint_bounds, self._faint_rows = np.zeros(m, dtype=bool), np.zeros(c, dtype=bool)
+        self.is_unclear = False
         self._slack = posed.slack(u)
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
         self._missing = posed.missing(u)
@@ -135,10 +139,13 @@ class TreeProof:
             bounds = np.where((active.side == 0) | self._frozen, 0.0, -found.rest * active.side)
             rows = np.where(active.held, found.pulls[posed.parts[0]], 0.0)
             gap += self._slackness(bounds, rows)
-            held_bounds, held_rows = np.isfinite(self._leak_of_bounds), np.isfinite(self._leak_of_rows)
-            wrong_bounds = (bounds < -PULLS * found.of_bounds) & ~held_bounds
-            wrong_rows = (rows < -PULLS * found.of_rows) & ~held_rows
-            first_bounds, first_rows = (bounds > found.of_bounds) & ~held_bounds, (rows > found.of_rows) & ~held_rows
+            faint = NEARLY * self._faintness(number, found.pulls, given)
+            faint_of_rows = faint / posed.lengths[posed.parts[0]]
+            wrong_bounds, first_bounds, unclear = _told(
+                bounds, found.of_bounds, faint, self._leak_of_bounds, self._faint_bounds
+            )
+            wrong_rows, first_rows, also = _told(rows, found.of_rows, faint_of_rows, self._leak_of_rows, self._faint_rows)
+            self.is_unclear = self.is_unclear or unclear or also
             self._leak_of_bounds[first_bounds] = gap / bounds[first_bounds]
             self._leak_of_rows[first_rows] = gap / rows[first_rows]
             loosened = float(np.abs(self._slack[first_rows]).sum())
@@ -147,6 +154,19 @@ class TreeProof:
         self._above = max(self._above, found.feigned, loosened)
         rounding = max(found.feigned, loosened)
         return TreeLevelProof(gap, demand, excess, rounding, carried, bounds, rows, wrong_bounds, wrong_rows)
+
+    def _faintness(self, number: int, pulls: Array, given: Array) -> float:
+        """Return the largest multiplier, of a row of unit length, that directions can give that no row feels.
+
+        Rows of unit length that feel a direction by less than `NOISE` feel it by rounding.
+        """
+        posed, of_last = self._posed, 0.0
+        values = np.abs(pulls)
+        if number == len(posed.parts):
+            of_last = length(given)
+        else:
+            values = values + np.where(posed.level == number, np.abs(given), 0.0)
+        return NOISE * (length(values * posed.roots * posed.lengths) + of_last)
 
     @cached_property
     def _sizes(self) -> Array:
@@ -196,7 +216,7 @@ class TreeProof:
     def holds_with_margin(self) -> bool:
         """Whether the certificate holds with room to spare, as the compiled core asks of its own."""
         levels, scale = self.levels, self.scale
-        if len(levels) < len(self._posed.parts) or levels[-1].pulls:
+        if len(levels) < len(self._posed.parts) or levels[-1].pulls or self.is_unclear:
             return False
         variation = max(max(level.rounding for level in levels) / scale, levels[-1].relative_gap)
         return (
@@ -209,3 +229,23 @@ class TreeProof:
     def is_held(self) -> bool:
         """Whether a bound or row carries a multiplier at some level."""
         return any(bool((level.bounds > 0.0).any() or (level.rows > 0.0).any()) for level in self.levels)
+
+
+def _told(
+    multipliers: Array, uncertain: Array | float, faint: Array | float, leak: Array, is_faint: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], bool]:
+    """Return which rows pull, which hold the level as the first above, and whether some pull but not clearly.
+
+    Args:
+        multipliers: of active rows `(n,)`.
+        uncertain: by how much rounding can have changed them.
+        faint: up to where they may be those of a direction that no row feels.
+        leak: how far the rows can move that levels above hold `(n,)`, infinite for others.
+        is_faint: which rows a level so far holds, but faintly `(n,)`; those that this one does are added.
+    """
+    free = ~np.isfinite(leak)
+    pulls = free & (multipliers < -PULLS * uncertain)
+    wrong = pulls & (multipliers < -faint) & ~is_faint
+    first = free & (multipliers > uncertain) & (multipliers > faint)
+    is_faint |= free & ~first & (multipliers > PULLS * uncertain)
+    return wrong, first, bool((pulls & ~wrong).any())
