@@ -151,6 +151,10 @@ MARGIN = 0.1
 #: left is how far half a unit in the last place of the levels above turns a level, which is no estimate.
 CLOSE_MARGIN = 0.5
 
+#: [of `UNDECIDED`] What the compiled core finds undecided by more, the Python form would not certify either: their figures
+#: are within a factor of three and a half of each other.
+PLAINLY = 4.0
+
 #: [–] A direction weaker than this, in rows of unit length, is one that the Python form looks at closer.
 WEAKEST = 1e-6
 

@@ -152,6 +152,27 @@ class TestMoreDigits:
             off = np.linalg.norm([float(a - Fraction(b)) for a, b in zip(best.x, step.dtheta.tolist(), strict=True)])
             assert off <= (tolerances.CERTIFIED + step.certificate.variation) * scale
 
+    def test_what_the_core_leaves_open_python_does_not_certify(self) -> None:
+        rng, seen = np.random.default_rng(8), 0
+        for _ in range(150):
+            m = 7
+            above, ask = rng.normal(size=(3, m)), rng.normal(size=(2, m))
+            room = np.where(rng.random(m) < 0.4, 0.0, 0.03)
+            levels = [
+                Level(above, above @ (0.01 * rng.uniform(0.0, room))),
+                Level(ask, rng.normal(size=2), damping=1e-12, below="hold"),
+            ]
+            problem = IKProblem(levels, Bounds(np.full(m, -0.03), room))
+            step = fast.compiled_step(problem, 0.0)
+            if step is None or step.status is not StepStatus.UNCERTIFIED:
+                continue
+            seen += 1
+            other = by_python(problem)
+            assert other.status is StepStatus.UNCERTIFIED
+            assert other.certificate.is_optimal
+            assert apart(step.dtheta, other.dtheta, problem) <= step.certificate.variation + other.certificate.variation
+        assert seen >= 10
+
     @pytest.mark.skipif(build_script().compiler() is None, reason="no C++ compiler")
     @pytest.mark.parametrize(
         "change",

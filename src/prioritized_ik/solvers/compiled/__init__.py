@@ -18,7 +18,9 @@ The core answers where every decision is clear: ranks on both sides of their cut
 certificate that holds with a margin. In every other case it declines and the Python form answers, with no loss but time.
 What it proves means what `certificate.py` proves, from the rows as they are given; rounding excuses nothing. Where
 rounding of doubles could hide whether a step is optimal, it looks with twice their digits, of which `certificate.py` has
-fewer, and mends the step by what it lacks. Tolerances are those of `tolerances.py`, handed over when the library is loaded.
+fewer, and mends the step by what it lacks. A step that is optimal, but that rounding of the problem's own numbers leaves
+undecided by far more than a certificate allows, is `UNCERTIFIED` in both forms, and the core's. Tolerances are those of
+`tolerances.py`, handed over when the library is loaded.
 
 What runs compiled, and what is left to the Python form:
 

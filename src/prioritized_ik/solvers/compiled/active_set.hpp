@@ -188,11 +188,11 @@ class ActiveSet : public Written {
             const int t = listed(ids);
             face(ids, t);
             measure();
+            for (int i = 0; i < all_; i++)  // near each other, but without a step in common
+                if (active_[i] && abs(reach_[i]) > tol_.KEPT * scale_) throw Declined{UNSETTLED};
             int near;
             const bool is_proven = prove_mended(ids, near);
             if (!rests_on_near()) continue;
-            for (int i = 0; i < all_; i++)  // near each other, but without a step in common
-                if (active_[i] && abs(reach_[i]) > tol_.KEPT * scale_) throw Declined{UNSETTLED};
             if (!is_proven) throw Declined{UNPROVEN};
             conclude(ids, t);
             return;

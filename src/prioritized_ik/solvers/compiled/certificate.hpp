@@ -19,13 +19,14 @@ class Certified : public Extended {
         Scope scope(arena_);
         start_looks();
         mends_ = false;
+        closest_ = 0.0;
         carry(ids, t);
         Multipliers own(*this, ids, t);
         wrong_.clear();
         blur_ = off_ = above_ = handed_ = 0.0;
         for (int l = 0; l <= now_.levels; l++) {
             while (own.known < t && level_of_[ids[own.known]] < l) own.known++;
-            if (l < now_.levels && levels_[l].is_soft && !counts_what_is_exceeded(levels_[l])) throw Declined{UNSETTLED};
+            if (l < looked_at_ && levels_[l].is_soft && !counts_what_is_exceeded(levels_[l])) throw Declined{UNSETTLED};
             if (!prove_level(own, l)) return false;
         }
         return true;
@@ -154,7 +155,7 @@ class Certified : public Extended {
         // What rounding of doubles can feign is looked at with more digits; what it cannot is there.
         const double fine = tol_.MARGIN * tol_.CERTIFIED * scale_, sure = tol_.MARGIN * tol_.UNDECIDED * scale_;
         const bool is_unclear = look.excess > fine || look.explained > sure;
-        if (closely_ || (is_unclear && look.excess <= feigned(look))) look_closer(own, at, l, look);
+        if ((closely_ && look.n) || (is_unclear && look.excess <= feigned(look))) look_closer(own, at, l, look);
         const double *beyond = look.beyond, *rough = look.rough, excess = look.excess, explained = look.explained;
         const double follows = block ? g.strength * block->inverse_norm : 0.0;
         double sum = 0.0;
@@ -203,6 +204,8 @@ class Certified : public Extended {
         const Block* block = at.block;
         const int c = at.start, r = at.rank, v = at.all();
         const double far = look.far = block ? block->shortest / tol_.UNFELT : 1.0;
+        // Strong rows, far from what they ask for, leave rounding in a level's weak directions.
+        const double leak = block ? tol_.EPS * g.strength * block->inverse_norm * sqrt(g.cost) : 0.0;
         look.gradient = g.values;
 
         // Rows that move in what is left, those held by a level above first.
@@ -221,8 +224,9 @@ class Certified : public Extended {
                 sizes[i] = norm(normal, v);
                 for (int j = 0; j < v; j++) normal[j] /= sizes[i];
             }
-            // What is left this long is longer than the step that is allowed, see as_step.
-            const double most = tol_.CERTIFIED * scale_ / (tol_.MARGIN * min(block ? 1.0 / block->strength : 1.0, far));
+            // What is left this long is longer than the step that is allowed, see as_step, and more than rounding.
+            const double allowed = tol_.CERTIFIED * scale_ / (tol_.MARGIN * min(block ? 1.0 / block->strength : 1.0, far));
+            const double most = allowed + tol_.ROUNDING * g.terms + leak;
             if (!balance(normals, n, look.held, v, g.values, most, combination)) return false;
         }
         const int n = look.n;
@@ -252,10 +256,7 @@ class Certified : public Extended {
             beyond[j] = max(abs(rest[j]) - rough[j], 0.0);
             explained += size * size * rough[j] * rough[j];
         }
-        // Strong rows, far from what they ask for, leave rounding in a level's weak directions.
-        const double follows = block ? g.strength * block->inverse_norm : 0.0;
-        const double leaks = block ? tol_.EPS * follows * sqrt(g.cost) * block->longest : 0.0;
-        look.explained = max(sqrt(explained), leaks);
+        look.explained = max(sqrt(explained), block ? leak * block->longest : 0.0);
         return true;
     }
 
@@ -387,6 +388,7 @@ class Certified : public Extended {
         }
         look.explained = sqrt(explained);
         look.excess = norm(step, m_);
+        closest_ = max(closest_, look.explained / scale_);
         if (look.excess > tol_.MARGIN * tol_.CERTIFIED * scale_ && look.excess <= most) {
             copy(step, mend_, stride);
             mends_ = true;
@@ -492,7 +494,8 @@ class Certified : public Extended {
     std::vector<int> wrong_;  // active rows to drop in turn
     double* mend_ = nullptr;  // what the step lacks by rounding,
     bool mends_ = false;      // if that is why the last proof did not end
-    bool closely_ = false;    // whether a proof looks closer at every level
+    double closest_ = 0.0;    // how far rounding may move the step where the last proof looked closer, of the step
+    bool closely_ = false;    // whether a proof looks closer wherever rows have multipliers
 
   private:
     std::vector<double> proof_;

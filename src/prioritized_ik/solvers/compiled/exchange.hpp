@@ -12,7 +12,7 @@ namespace prioritized_ik {
     FIELD(EPS) FIELD(NOISE) FIELD(DEPENDENT) FIELD(SETTLED_PER_RANK_TOLERANCE) FIELD(PROJECTION) FIELD(CERTIFIED) FIELD(GAP) \
     FIELD(UNDECIDED) FIELD(ROUNDING) FIELD(UNFELT) FIELD(NOTHING) FIELD(LEAST_DEMAND) FIELD(OFF) FIELD(KEPT) FIELD(DRIFT)    \
     FIELD(FREE) FIELD(FLOOR) FIELD(ITERATIONS) FIELD(ACCEPTED_VIOLATION) FIELD(MARGIN) FIELD(WEAKEST) FIELD(NEARLY)          \
-    FIELD(CUT_MARGIN) FIELD(EMPTY) FIELD(REFINEMENTS) FIELD(CLOSE_MARGIN)
+    FIELD(CUT_MARGIN) FIELD(EMPTY) FIELD(REFINEMENTS) FIELD(CLOSE_MARGIN) FIELD(ROWS_PER_SEARCH) FIELD(PLAINLY)
 
 struct Tolerances {
 #define FIELD(name) double name;
@@ -25,6 +25,7 @@ enum Ending : int {
     CLOSED_FORM,   // no row binds
     SOLVED,        // rows bind
     BINDING,       // the closed form breaks a row, and no more was asked for
+    OPEN,          // optimal at every level, but rounding leaves it undecided, by far more than a certificate allows
     ROUNDING_ROW,  // declined: a row is so short that it may be rounding, or is and cannot be kept
     RANK,          // declined: a level's rank is not clear
     EQUALITIES,    // declined: equalities nearly depend on each other

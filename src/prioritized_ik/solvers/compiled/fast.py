@@ -27,7 +27,11 @@ from prioritized_ik.validation import Array
 
 LOOSE, TIGHT, NOT_KEPT = 0, 1, 2  # of a guessed row; those that are not kept are of soft levels
 
-_STATUS: dict[int, StepStatus] = {Ending.CLOSED_FORM: StepStatus.CLOSED_FORM, Ending.SOLVED: StepStatus.SOLVED}
+_STATUS: dict[int, StepStatus] = {
+    Ending.CLOSED_FORM: StepStatus.CLOSED_FORM,
+    Ending.SOLVED: StepStatus.SOLVED,
+    Ending.OPEN: StepStatus.UNCERTIFIED,
+}
 
 
 def answers(problem: IKProblem) -> bool:

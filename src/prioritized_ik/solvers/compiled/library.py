@@ -30,13 +30,14 @@ class Ending(IntEnum):
     CLOSED_FORM = 0
     SOLVED = 1
     BINDING = 2
-    ROUNDING_ROW = 3
-    RANK = 4
-    EQUALITIES = 5
-    NEARLY_DECIDED = 6
-    NEARLY_TIGHT = 7
-    UNSETTLED = 8
-    UNPROVEN = 9
+    OPEN = 3
+    ROUNDING_ROW = 4
+    RANK = 5
+    EQUALITIES = 6
+    NEARLY_DECIDED = 7
+    NEARLY_TIGHT = 8
+    UNSETTLED = 9
+    UNPROVEN = 10
 
 
 class Question(IntEnum):

@@ -17,9 +17,10 @@ class Step : public ActiveSet {
         for (;;) {
             try {
                 now_ = now;
-                is_written_ = false;
+                is_written_ = is_open_ = false;
                 const int outcome = answer(question);
-                return outcome == BINDING || is_written_ ? outcome : int(UNPROVEN);  // no step without its proof
+                if (outcome != BINDING && !is_written_) return UNPROVEN;  // no step without its proof
+                return is_open_ ? int(OPEN) : outcome;
             } catch (const Declined& declined) {
                 return declined.why;
             } catch (const Arena::Exhausted&) {
@@ -89,11 +90,11 @@ class Step : public ActiveSet {
         }
         std::memset(active_, 0, all_);
         start_search();
-        if (search(int(tol_.ITERATIONS), !guessed)) return SOLVED;
+        if (search(most_sets(), !guessed)) return SOLVED;
         if (guessed) {
             start_from_guess();
             if (soft_) refactor();
-            if (search(int(tol_.ITERATIONS))) return SOLVED;
+            if (search(most_sets())) return SOLVED;
         }
         if (search_level_by_level()) return SOLVED;
         throw Declined{UNSETTLED};
@@ -106,10 +107,13 @@ class Step : public ActiveSet {
         for (looked_at_ = 1; looked_at_ <= now_.levels; looked_at_++) {
             refactor();
             start_search();
-            if (!search(int(tol_.ITERATIONS))) return false;
+            if (!search(most_sets())) return false;
         }
         return now_.levels > 0;
     }
+
+    // How many sets a search visits before it is given up, see active_set.py.
+    int most_sets() const { return int(tol_.ITERATIONS) * max(1, all_ / int(tol_.ROWS_PER_SEARCH)); }
 
     void start_from_guess() {
         guessed_ = 0;

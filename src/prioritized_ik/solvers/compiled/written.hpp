@@ -10,19 +10,23 @@ class Written : public Certified {
     using Certified::Certified;
 
     bool is_written_ = false;
+    bool is_open_ = false;  // whether rounding leaves the written step undecided by more than a certificate allows
 
-    // Writes the proven step, if its certificate has margin, or has it where every level is looked at closer.
+    // Writes the proven step, if its certificate has margin, or has it where rows with multipliers are looked at closer.
     void conclude(const int* ids, int t) {
         const double near = tol_.CERTIFIED * scale_;
         double violation = max(0.0, -worst_hard_);
         for (int i = 0; i < equalities_; i++)
             violation = max(violation, abs(dot(equal_ + size_t(i) * stride, u_, stride) - equal_side_[i]));
         if (violation > tol_.MARGIN * near) throw Declined{UNPROVEN};
-        if (is_weak_ || !has_margin(tol_.MARGIN)) {
+        if (is_weak_ || !is_optimal(tol_.MARGIN) || variation() > tol_.MARGIN * tol_.UNDECIDED) {
             closely_ = true;
             const bool is_proven = prove(ids, t);
             closely_ = false;
-            if (!is_proven || !has_margin(tol_.CLOSE_MARGIN)) throw Declined{UNPROVEN};
+            if (!is_proven || !is_optimal(tol_.CLOSE_MARGIN)) throw Declined{UNPROVEN};
+            // A rank tolerance that cuts leaves this core with coarser figures than the Python form has.
+            is_open_ = rank_tolerance_ == 0.0 && closest_ > tol_.PLAINLY * tol_.UNDECIDED;
+            if (!is_open_ && variation() > tol_.CLOSE_MARGIN * tol_.UNDECIDED) throw Declined{UNPROVEN};
         }
         if (doubt_) throw Declined{NEARLY_DECIDED};
         if (-worst_hard_ > tol_.ROUNDING * scale_ / tol_.MARGIN) throw Declined{UNPROVEN};  // what mending it moves: Proof._loose
@@ -71,17 +75,22 @@ class Written : public Certified {
     }
 
   private:
-    // Whether the certificate holds with a fraction of its tolerances; what rounding leaves undecided, with one of its own.
-    bool has_margin(double of_variation) const {
+    // Whether no level's cost could be lower, gaps with `margin`.
+    bool is_optimal(double margin) const {
         const double* figures = io.figures.data();
-        double variation = 0.0;
         for (int l = 0; l <= now_.levels; l++, figures += FIGURES) {
             if (!(figures[STATIONARITY] <= tol_.MARGIN * tol_.CERTIFIED)) return false;
-            if (l < now_.levels && !(figures[RELATIVE_GAP] <= tol_.MARGIN * tol_.GAP)) return false;
-            if (l == now_.levels) variation = max(variation, figures[RELATIVE_GAP]);
-            variation = max(variation, figures[ROUNDING]);
+            if (l < now_.levels && !(figures[RELATIVE_GAP] <= margin * tol_.GAP)) return false;
         }
-        return variation <= of_variation * tol_.UNDECIDED;
+        return true;
+    }
+
+    // How far rounding may move the step, see Certificate.variation.
+    double variation() const {
+        const double* figures = io.figures.data();
+        double largest = 0.0;
+        for (int l = 0; l <= now_.levels; l++, figures += FIGURES) largest = max(largest, figures[ROUNDING]);
+        return max(largest, io.figures[size_t(now_.levels) * FIGURES + RELATIVE_GAP]);
     }
 };
 
