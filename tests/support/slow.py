@@ -134,6 +134,7 @@ TESTS = {
         "windings_beyond_the_budget_keep_every_few_states_and_the_last",
         "a_winding_without_a_file_is_not_replayed_but_told_among_the_failures",
     ),
+    "posing_sabotage": ("its_honest_function_is_right", "what_is_wrong_is_noticed"),
     "pressing": (
         "a_link_40_mm_deep_comes_out_by_no_more_than_is_asked_of_a_step",
         "pressing_for_600_steps_a_link_comes_to_rest_at_the_surface",
