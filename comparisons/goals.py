@@ -6,7 +6,7 @@ into those of a new problem, or of one that lives.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
 
 import mujoco
 import numpy as np
@@ -185,19 +185,17 @@ class Scene:
 
     def balance(self, feet: Sequence[str], margin: float) -> Goal:
         """Return the centre of mass kept between feet, and up to a margin [m] beside them: soft rows."""
-        numbers = [self.model.site(foot).id for foot in feet]
-        places, mass = self.now.site_xpos, self.now.subtree_com[0][:2]
+        standing = [self.now.site_xpos[self.model.site(foot).id, :2] for foot in feet]
+        mass, both = self.now.subtree_com[0][:2], np.vstack([np.eye(2, 3), -np.eye(2, 3)])
 
         def bind(posing: Posing, matrix: Array, target: Array) -> None:
-            jacobian = np.zeros((3, self.model.nv))
+            above, below = target[:2], target[2:]
+            posing.centre_of_mass(0, None, matrix, target, across=both)
 
             def write() -> None:
-                mujoco.mj_jacSubtreeCom(self.model, self.now, jacobian, 0)
-                matrix[:2] = jacobian[:2]
-                np.negative(jacobian[:2], matrix[2:])
-                standing = places[numbers, :2]
-                target[:2] = standing.max(axis=0) + margin - mass
-                target[2:] = mass - standing.min(axis=0) + margin
+                np.subtract(reduce(np.maximum, standing), mass, out=above)
+                np.subtract(mass, reduce(np.minimum, standing), out=below)
+                np.add(target, margin, out=target)
 
             posing.also(write)
 

@@ -198,12 +198,24 @@ class Posing:
         rows = PosedRows(Kind.TURN, matrix, target, getattr(self._data, TURNS[frame.kind])[frame.number], wanted)
         self._frame(rows, frame, across, own_axes, gain)
 
-    def centre_of_mass(self, body: int, wanted: Array | None, matrix: Array, target: Array, gain: float = 1.0) -> None:
+    def centre_of_mass(
+        self,
+        body: int,
+        wanted: Array | None,
+        matrix: Array,
+        target: Array,
+        gain: float = 1.0,
+        *,
+        across: ArrayLike | None = None,
+    ) -> None:
         """Write the Jacobian of the centre of mass of a body and all that hangs on it, and the way to `wanted` `(3,)` [m].
 
-        The arguments and errors are those of `position`.
+        The arguments and errors are those of `position`; combinations are in the world's axes.
         """
-        self._three(PosedRows(Kind.MASS, matrix, target, self._data.subtree_com[body], wanted, body=body, gain=gain))
+        rows = PosedRows(Kind.MASS, matrix, target, self._data.subtree_com[body], wanted, body=body, gain=gain)
+        if across is not None:
+            rows.across = finite_array("across", across, (None, 3))
+        self._three(rows)
 
     def joints(self, places: ArrayLike, wanted: Array, target: Array, gain: float = 1.0) -> None:
         """Write how far hinges and slides at `places` of q are from where they are `wanted` `(k,)`, and no matrix."""

@@ -252,6 +252,8 @@ def rows_of(posing_class: Any, robot: Robot, rng: np.random.Generator, write: Wr
         posed.centre_of_mass(body, mass, *room(3), gain=0.5)
         jacobian, error = CentreOfMass(robot, mass, body=body).rows(robot)
         told.append((jacobian, 0.5 * error))
+        posed.centre_of_mass(body, mass, *room(2), across=ACROSS)
+        told.append((ACROSS @ jacobian, ACROSS @ error))
 
     _, dofs, places = limited_scalars(model)
     dofs, places = dofs[::-2].copy(), places[::-2].copy()
