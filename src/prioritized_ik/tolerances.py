@@ -53,7 +53,7 @@ NOTHING = 1e-12
 #: [of the step] Leaks of strong rows into weak directions up to this are looked at in double precision only.
 LEAKS = 1e-5
 
-#: [of what a step of this size can do to a level] A level that asks for less asks for nothing.
+#: [of what a step of this scale can do to a level] A level that asks for less asks for nothing.
 LEAST_DEMAND = 1e-6
 
 #: [of the step] A displacement below this is rounding that no estimate foresaw.

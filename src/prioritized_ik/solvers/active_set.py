@@ -24,9 +24,10 @@ from prioritized_ik.tolerances import (
     KEPT,
     REFINABLE,
     REFINEMENTS,
+    ROUNDING,
     ROWS_PER_SEARCH,
 )
-from prioritized_ik.validation import Array, lengths
+from prioritized_ik.validation import Array, length, lengths
 
 Active = NDArray[np.bool_]
 
@@ -130,7 +131,23 @@ def face_solution(hierarchy: Hierarchy, active: Active) -> Array:
     u = _face_solution(hierarchy, active, hierarchy.start)
     # What a row gets from directions too weak to count is taken from the first solution.
     drifted = np.abs(hierarchy.rows.drift[active] @ (u - hierarchy.start)).max(initial=0.0)
-    return _face_solution(hierarchy, active, u) if drifted > DRIFT * hierarchy.scale(u) else u
+    u = _face_solution(hierarchy, active, u) if drifted > DRIFT * hierarchy.scale(u) else u
+    return _at_bounds(hierarchy, active, u)
+
+
+def _at_bounds(hierarchy: Hierarchy, active: Active, u: Array) -> Array:
+    """Return `u` with joints that are at an `active` bound but for rounding there to the last bit.
+
+    Large multipliers make much of what rounding leaves of a slack.
+    """
+    rows = hierarchy.rows
+    numbers = np.flatnonzero(active & (rows.joint >= 0))
+    joints = rows.joint[numbers]
+    bounds = rows.upper[numbers] * rows.matrix[numbers, joints]  # which is 1 or -1
+    near = np.abs(u[joints] - bounds) <= ROUNDING * length(u)
+    u = u.copy()
+    u[joints[near]] = bounds[near]
+    return u
 
 
 def _face_solution(hierarchy: Hierarchy, active: Active, drifted: Array) -> Array:
@@ -212,7 +229,7 @@ def _refined(hierarchy: Hierarchy, u: Array, proof: Proof) -> tuple[Array, Proof
         failing = next((level for level in proof.levels if level.excess > CERTIFIED * proof.scale), None)
         if failing is None or failing.excess > REFINABLE * proof.scale:
             return None
-        u = u + failing.displacement
+        u = _at_bounds(hierarchy, proof.near, u + failing.displacement)
         proof = Proof(hierarchy, u, searching=True)
         if proof.certificate.holds:
             return u, proof

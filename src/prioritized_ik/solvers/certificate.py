@@ -213,7 +213,7 @@ class Proof:
         reference = hierarchy.problem.reference
         terms = np.abs(free.T) @ (np.abs(u) + np.abs(reference))
         size = length(u) + length(reference)
-        last = Shortfall(Range(free, free[:, :0], None), free.T @ (u - reference), terms, size, 0.0)
+        last = Shortfall(Range(free, free[:, :0], None), free.T @ (u - reference), terms, 1.0, 0.0)
         identity = np.eye(len(u))
         own = trusted(Level, matrix=identity, target=reference, weights=np.ones(len(u)), name="last level", kind="equal")
         yield self._proof(own, size, last, free, near)
@@ -279,7 +279,7 @@ class Proof:
             level.name,
             gap,
             steepness * above + (strength * above) ** 2 + handed,
-            max(demand, math.sqrt(level.cost(self._u)), LEAST_DEMAND * shortfall.size),
+            max(demand, math.sqrt(level.cost(self._u)), LEAST_DEMAND * shortfall.strength * self.scale),
             look.displacement,
             max(look.explained, loosened, self._off),
             multipliers,

@@ -37,14 +37,14 @@ class Shortfall:
         felt: the level's range within the directions left to it.
         gradient: `(r,)`.
         terms: sizes of the terms of which that is the difference `(r,)`, for their rounding.
-        size: what the level asks for and what a step of this length can do to it, as one length.
+        strength: what a step of unit length can do to the level at most.
         leak: what rounding lets through of the gradient that levels above absorb is a rounding of this.
     """
 
     felt: Range
     gradient: Array
     terms: Array
-    size: float
+    strength: float
     leak: float
 
 
@@ -112,8 +112,8 @@ class EqualBlock:
         """Return what the level lacks at `u`."""
         felt = self.within(free)
         terms = self.terms + self.spread @ np.abs(u)
-        size = self.demand + float(np.linalg.norm(self.root)) * length(u)
-        return Shortfall(felt, -felt.project(self.missing(u)), felt.project_sizes(terms), size, 0.0)
+        strength = float(np.linalg.norm(self.root))
+        return Shortfall(felt, -felt.project(self.missing(u)), felt.project_sizes(terms), strength, 0.0)
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ class SoftBlock:
         excess = -rows.strengths[own] * slack[own]
         terms = rows.strengths[own] * (np.abs(rows.upper[own]) + np.abs(rows.matrix[own]) @ np.abs(u))
         leak = (1 + self.number) * float(np.linalg.norm(rows.strengths[own] * excess))
-        size = self.demand + length(rows.strengths[own]) * length(u)
-        return Shortfall(felt, felt.project(excess), felt.project_sizes(terms), size, leak)
+        strength = length(rows.strengths[own])
+        return Shortfall(felt, felt.project(excess), felt.project_sizes(terms), strength, leak)
 
 
 Block = EqualBlock | SoftBlock
@@ -175,6 +175,12 @@ class PooledRows:
     level: NDArray[np.int_]
     strengths: Array
     names: tuple[str, ...]
+
+    @cached_property
+    def joint(self) -> NDArray[np.int_]:
+        """By row the number of the joint that it bounds `(r,)`; negative for rows of soft levels and of several joints."""
+        bounds = (self.level == HARD) & (np.count_nonzero(self.matrix, axis=1) == 1)
+        return np.where(bounds, np.abs(self.matrix).argmax(axis=1), -1)
 
     def slack(self, u: Array) -> Array:
         """Return how far `u` is from each row `(r,)`; negative where it is exceeded."""

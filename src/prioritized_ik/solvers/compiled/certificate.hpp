@@ -98,7 +98,7 @@ class Certified : public Extended {
         }
         g.strength = sqrt(g.strength);
         g.steepness = 2.0 * norm(slope, m_);
-        g.size = block.demand + block.strength * size_;
+        g.size = block.strength * scale_;
         // A weak direction is a difference of strong rows: what they leave of each other is rounding of them, not of it.
         g.terms = block.demand + max(g.strength, block.strength) * size_;
         if (block.reflectors)
@@ -116,8 +116,7 @@ class Certified : public Extended {
         for (int j = 0; j < m_; j++) apart[j] = u_[j] - reference_[j];
         into(apart, turned);
         copy(turned + rest_, g.values, m_ - rest_);
-        g.size = size_ + norm(reference_, m_);
-        g.terms = g.size;
+        g.size = g.terms = size_ + norm(reference_, m_);
         g.cost = dot(apart, apart, m_);
         g.steepness = 2.0 * sqrt(g.cost);
         g.strength = sqrt(double(m_));

@@ -122,7 +122,7 @@ class TreeProof:
             part, given = posed.parts[number], self._missing
             strength, cost = posed.strength(number), length(given[part])
             steepest, sizes = factors.strongest[number] or strength, self._sizes
-            demand = max(posed.demand(number), cost, LEAST_DEMAND * (posed.demand(number) + strength * length(u)))
+            demand = max(posed.demand(number), cost, LEAST_DEMAND * strength * self.scale)
             sizes = np.where(posed.level == number, sizes, 0.0)
         found = factors.balance(number, given, sizes, ROUNDED, self._off, is_held=self._is_held)
         self._off = found.off
