@@ -569,6 +569,15 @@ def test_a_step_between_two_near_rows_states_how_far_it_is_from_the_one_that_pus
     assert not stated.holds or stated.variation <= UNDECIDED
 
 
+@pytest.mark.parametrize(("asked", "holds"), [(1e-18, True), (1e-12, False)])
+def test_a_level_that_asks_for_the_rounding_of_what_others_ask_asks_for_nothing(asked, holds):
+    """As of robots at rest: feet are where they belong but for rounding, and hands that cannot move are far from theirs."""
+    row = [[0.6, 0.8, 0.0]]
+    problem = IKProblem([Level(row, [asked]), Level(row, [0.2])])
+    assert certify(problem, np.zeros(3)).holds is holds
+    assert solve(problem).certificate.holds
+
+
 def test_a_bound_broken_by_twice_its_size_is_told_however_small_it_is():
     problem = IKProblem([Level(np.eye(2), [1e-9, 0.0])], Bounds([-1.0, -1.0], [5e-13, 1.0]))
     assert not certify(problem, [1.4e-12, 0.0]).holds

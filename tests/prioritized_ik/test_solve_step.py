@@ -257,43 +257,37 @@ def test_a_humanoid_keeps_feet_and_balance_strictly_and_comes_to_rest(crouched, 
         assert max(np.linalg.norm(hand.rows(robot)[1]) for hand in hands) < 1e-6
 
 
-@pytest.mark.parametrize("damping", [0.0, 1.0])
-def test_at_rest_with_targets_along_straight_arms_and_out_of_reach_every_step_is_proven(damping):
+def test_at_rest_with_targets_along_straight_arms_and_out_of_reach_every_step_is_proven():
     robot = example("humanoid")
     hands = [Position(robot, site=f"{side} hand") for side in ("left", "right")]
     for hand in hands:
         hand.target = hand.target + np.array([0.0, 0.0, -0.8])
     levels = [[Pose(robot, site=f"{side} foot") for side in ("left", "right")], CentreOfMass(robot, gain=0.2), hands]
     for _ in range(40):
-        limits = [JointRange(robot), Velocity(robot, 3.0)]
-        step = solve_step(robot, [*levels, Posture(robot, gain=0.1)], limits, DT, damping=damping).step
+        step = solve_step(robot, [*levels, Posture(robot, gain=0.1)], [JointRange(robot), Velocity(robot, 3.0)], DT).step
         assert step.certificate.holds, step.certificate
         assert np.abs(step.dtheta).max() < 1e-8  # all that is asked for is out of reach
         robot.integrate(step.dtheta / DT, DT)
 
 
-@pytest.mark.parametrize("drawn", [(0.8, 0.0, 0.0), (0.5, 0.5, -0.3)], ids=str)
-@pytest.mark.parametrize("crouched", [False, True], ids=["straight", "crouched"])
-def test_undamped_and_drawn_out_of_reach_joints_stop_at_their_bounds_to_the_last_bit_and_every_step_is_proven(
-    crouched, drawn
-):
+@pytest.mark.parametrize("drawn", [(0.8, 0.0, 0.0), (0.5, 0.5, -0.3), (0.0, 0.0, 0.8)], ids=str)
+def test_undamped_and_drawn_out_of_reach_joints_stop_at_their_bounds_to_the_last_bit_and_every_step_is_proven(drawn):
     robot = example("humanoid")
-    if crouched:
-        _crouch(robot)
+    _crouch(robot)
+    feet = [Pose(robot, site=f"{side} foot") for side in ("left", "right")]
     hands = [Position(robot, site=f"{side} hand", gain=0.2) for side in ("left", "right")]
     for hand in hands:
         hand.target = hand.target + np.array(drawn)
-    feet = [Pose(robot, site=f"{side} foot") for side in ("left", "right")]
-    levels, held = [feet, CentreOfMass(robot, gain=0.2), hands, Posture(robot, gain=0.1)], 0
-    for _ in range(30):
-        motion = solve_step(robot, levels, [JointRange(robot), Velocity(robot, 2.0)], DT, damping=0.0)
-        step, bounds = motion.step, motion.problem.bounds
-        assert step.certificate.holds, step.certificate
-        at = np.minimum(np.abs(step.dtheta - bounds.lower), np.abs(bounds.upper - step.dtheta))
-        assert not ((0.0 < at) & (at < 1e-15)).any()
-        held += int((at == 0.0).sum())
-        robot.integrate(motion.velocity, DT)
-    assert held > 30
+    levels, stopped = [feet, CentreOfMass(robot, gain=0.2), hands, Posture(robot, gain=0.1)], 0
+    for _ in range(40):
+        motion = solve_step(robot, levels, [JointRange(robot), Velocity(robot, 2.0)], 0.05, damping=0.0)
+        step, bounds = motion.step.dtheta, motion.problem.bounds
+        assert motion.step.certificate.holds, motion.step.certificate
+        off = np.minimum(np.abs(step - bounds.lower), np.abs(bounds.upper - step))
+        assert not ((off > 0.0) & (off < 1e-15)).any()
+        stopped += int((off == 0.0).sum())
+        robot.integrate(motion.velocity, 0.05)
+    assert stopped > 40
 
 
 def test_reach_says_which_joint_is_at_its_stop():

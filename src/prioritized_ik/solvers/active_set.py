@@ -187,9 +187,7 @@ def _held(
     combinations, k = np.eye(len(to_hold)), 0
     if below.size:
         combinations, strengths, _ = np.linalg.svd(below, full_matrices=len(below) > below.shape[1])
-        # Rounding is of every entry; what a rank tolerance settles is of a row as a whole.
-        entries = 1 if hierarchy.rank_tolerance else below.shape[1]
-        k = int(np.count_nonzero(strengths > hierarchy.settled * np.sqrt(entries)))
+        k = int(np.count_nonzero(strengths > hierarchy.least(below.shape[1])))
     mine = combinations[:, k:].T
     mine = mine[lengths(mine @ (to_hold @ free)) > DEPENDENT]  # the rest copies other rows
     if not len(mine):

@@ -224,7 +224,7 @@ class Proof:
         Two rows that say the same of what is left, but for that little, are one row there.
         """
         combinations, strengths, directions = np.linalg.svd(self._rows[near] @ unfelt, full_matrices=False)
-        few = strengths <= self._hierarchy.settled
+        few = strengths <= self._hierarchy.least(unfelt.shape[1])
         self._rows[near] -= (combinations[:, few] * strengths[few]) @ (unfelt @ directions[few].T).T
 
     def _sensitivity(self, level: Level) -> tuple[float, float]:
@@ -258,27 +258,31 @@ class Proof:
         back = held & (net < 0.0)
         # Weak duality, see above. Along what it does not feel a level's cost falls as far as steps of this size go.
         gap = 2.0 * float(np.abs(pull) @ np.where(back, np.minimum(self._leak[near], FAR), slack))
-        gap += float(look.beyond @ look.beyond) + float(look.rounding @ look.rounding)
-        gap += 2.0 * length((look.beyond / look.sizes)[felt.shape[1] :]) * self.scale
+        lower = float(look.beyond @ look.beyond) + 2.0 * length((look.beyond / look.sizes)[felt.shape[1] :]) * self.scale
+        off, rounding = length(look.displacement), float(look.rounding @ look.rounding)
+        if off > OFF * self.scale:
+            gap += lower
+        else:
+            off, rounding = 0.0, rounding + lower
         multipliers = np.zeros(len(self.slack))
         multipliers[near] = np.where(counts, pull, 0.0)
         first = near[~held & (multipliers[near] > 0.0)]
-        self._leak[first] = gap / multipliers[first]
+        self._leak[first] = (gap + rounding) / multipliers[first]
         carrying = counts & ~back
         loosened = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free)
         # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
-        off = self._off * (1.0 + follows)
-        above = max(self._above, off)
+        drawn = self._off * (1.0 + follows)
+        above = max(self._above, drawn)
         moved = level.matrix @ self._handed
         handed = 2.0 * abs(float((level.weights * level.residual(self._u)) @ moved)) + float(level.weights @ moved**2)
         # The level follows what mends those above, and has its own to mend.
         self._handed = self._handed - felt @ (felt.T @ (level.matrix.T @ (level.weights * moved))) + look.displacement
         self._above = max(self._above, look.explained, loosened)
-        self._off = off + (length(look.displacement) if length(look.displacement) > OFF * self.scale else 0.0)
+        self._off = drawn + off
         return LevelProof(
             level.name,
             gap,
-            steepness * above + (strength * above) ** 2 + handed,
+            rounding + steepness * above + (strength * above) ** 2 + handed,
             max(demand, math.sqrt(level.cost(self._u)), LEAST_DEMAND * shortfall.strength * self.scale),
             look.displacement,
             max(look.explained, loosened, self._off),

@@ -10,6 +10,7 @@ one and the same problem. Soft levels (`at_most`) have no block of their own dir
 What is rounding is left out before: rows no longer than `IKProblem.zero_length`, rows without weight, infinite sides.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -237,6 +238,13 @@ class Hierarchy:
     def impossible(self) -> tuple[str, ...]:
         """Names of hard rows that are rounding, so that no step moves them, but whose sides are beyond what is kept."""
         return impossible_rows(self._given, FEASIBLE * self._given.longest_row * self.length)
+
+    def least(self, directions: int) -> float:
+        """What a combination of rows moves at least along so many directions where it is not settled.
+
+        Rounding is of every entry; what a rank tolerance settles is of a row as a whole.
+        """
+        return self.settled if self.rank_tolerance else self.settled * math.sqrt(directions)
 
     def scale(self, u: Array) -> float:
         """Return what relative figures of a step count against: ‖u‖, at least `FLOOR` of what the levels ask for."""

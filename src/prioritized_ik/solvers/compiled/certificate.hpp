@@ -161,7 +161,10 @@ class Certified : public Extended {
         for (int i = 0; i < look.n; i++) sum += abs(look.combination[i]);
 
         // Weak duality.
-        double gap = dot(beyond, beyond, v) + dot(rough, rough, v) + 2.0 * norm(beyond + r, below) / look.far * scale_, apart = 0.0;
+        const double room = dot(beyond, beyond, v) + 2.0 * norm(beyond + r, below) / look.far * scale_;
+        const bool is_rounding = excess <= tol_.OFF * scale_;
+        double gap = is_rounding ? 0.0 : room, apart = 0.0;
+        const double rounded = dot(rough, rough, v) + (is_rounding ? room : 0.0);
         double* values = own.values + size_t(l) * own.t;
         for (int i = 0; i < look.n; i++) {
             const int k = look.place[i];
@@ -177,7 +180,7 @@ class Certified : public Extended {
             }
         }
         for (int i = look.held; i < look.n; i++)
-            if (values[look.place[i]] > 0.0) own.leak[look.place[i]] = gap / values[look.place[i]];
+            if (values[look.place[i]] > 0.0) own.leak[look.place[i]] = (gap + rounded) / values[look.place[i]];
 
         const double drawn = off_ * (1.0 + follows), carried_over = max(above_, drawn);
         above_ = max(above_, max(explained, apart));
@@ -186,7 +189,7 @@ class Certified : public Extended {
         const double demand = max(last ? g.size : max(block->demand, block->asked), max(sqrt(g.cost), tol_.LEAST_DEMAND * g.size));
         double* figures = io.figures.data() + size_t(l) * FIGURES;
         const double moved = g.strength * carried_over;
-        figures[LEVEL_GAP] = gap + g.steepness * carried_over + moved * moved;
+        figures[LEVEL_GAP] = gap + rounded + g.steepness * carried_over + moved * moved;
         if (!last) blur_ = max(blur_, block->blur);
         figures[RELATIVE_GAP] = gap > 0.0 && demand > 0.0 ? gap / (demand * demand) : 0.0;
         figures[STATIONARITY] = excess / scale_;
