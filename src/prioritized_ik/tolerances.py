@@ -28,6 +28,9 @@ PROJECTION = 16.0
 #: [–] directions are never taken for less certain than this, however weak what a level kept
 UNSURE = 1e-6
 
+#: [–] Half a unit in the last place of extended precision: how far one operation in it can be off.
+HALF_UNIT = 0.5 * float(np.finfo(np.longdouble).eps)
+
 # --- What a certificate allows ------------------------------------------------------------------------------------------
 
 #: [of the step] Violation of a hard row, and displacement that would still lower a level's cost.
@@ -58,6 +61,12 @@ LEAST_DEMAND = 1e-6
 
 #: [of the step] A displacement below this is rounding that no estimate foresaw.
 OFF = 1e-12
+
+#: [–] Turns of a basis in extended precision; each gains as many digits as the level's weakest direction leaves.
+TURNS = 2
+
+#: [–] Improvements of a combination in extended precision; each gains as many digits as the rows leave.
+BALANCINGS = 4
 
 # --- The active set -----------------------------------------------------------------------------------------------------
 
@@ -116,6 +125,23 @@ EXCEEDED = 1e-9
 
 # --- Backends -----------------------------------------------------------------------------------------------------------
 
+#: [of the likely step] The unit of a QP: OSQP loses steps where a step measures one unit or more, ProxQP where it
+#: measures a tenth.
+AMPLE = 3.0
+
+#: [of that unit] In the last stage the optimum is within 2 units of x = 0, which is feasible; slacks beyond this can be
+#: cut to it without changing the optimum, and interior-point solvers start far off if they are not.
+FAR_SLACK = 10.0
+
+#: [–] Proximal steps of one solve; every zoom adds as many.
+PROXIMAL_ROUNDS = 2
+
+#: [of the costed variables' unit] ρ‖z - z_k‖ below this leaves no trace in them.
+RESTED = 1e-10
+
+#: [of the step] Zooming stops once it moves the step by less.
+ZOOMED = 1e-9
+
 #: [of the step] A solver's own step may break a row by this much; beyond, it is not accepted.
 ACCEPTED_VIOLATION = 1e-6
 
@@ -138,6 +164,16 @@ HELD_SLACK = 1e-5
 NARROW = 1e-5
 
 # --- Conflicts ----------------------------------------------------------------------------------------------------------
+
+#: [of the linear programme's unit] HiGHS keeps rows to within 1e-7, so a least violation above this is right to one in a
+#: million.
+RESOLVED = 0.1
+
+#: [–] Linear programmes in search of a unit; each leaves a tenth of the violation at most, if it does not end it.
+PASSES = 30
+
+#: [–] A multiplier above this is positive: together they are 1, and HiGHS is right to 1e-7.
+PUSHING = 1e-7
 
 #: [of the sides] Rows that a step keeps to within this are kept together.
 FEASIBLE = 1e-9

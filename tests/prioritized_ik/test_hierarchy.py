@@ -14,10 +14,10 @@ from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, general_solution, rank_decomposition_svd, weighted_optimum
 from prioritized_ik.solvers.compiled.workspace import Sizes, workspace_for
-from prioritized_ik.solvers.hierarchy import AMPLE, HARD, EqualBlock, Hierarchy, SoftBlock, strict_solution
+from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy, SoftBlock, strict_solution
 from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import StepStatus
-from prioritized_ik.tolerances import DEPENDENT, FLOOR, NOISE
+from prioritized_ik.tolerances import AMPLE, DEPENDENT, FLOOR, NOISE
 from prioritized_ik.weights import FREE
 
 #: The planted problems' singular values are above 3e-3 of the largest, or zero: the cut is no matter of taste.

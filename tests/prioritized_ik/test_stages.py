@@ -14,7 +14,8 @@ from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, level_decompositi
 from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
 from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage
 from prioritized_ik.solvers.registry import get_method
-from prioritized_ik.solvers.stages import FAR_SLACK, FoldState, Stage, damped_stage, level_stage, reference_stage
+from prioritized_ik.solvers.stages import FoldState, Stage, damped_stage, level_stage, reference_stage
+from prioritized_ik.tolerances import FAR_SLACK
 
 ROUNDING = 1e-12  # sums of some fifty products of doubles, relative to their size
 WEIGHTED = 1e-11  # the same on recorded steps, where weights of 200 and 0.01 meet

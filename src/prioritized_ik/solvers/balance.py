@@ -11,16 +11,10 @@ from numpy.typing import NDArray
 
 from prioritized_ik.problem import Level
 from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
-from prioritized_ik.tolerances import DEPENDENT, EPS, ROUNDING, UNFELT
+from prioritized_ik.tolerances import BALANCINGS, DEPENDENT, EPS, HALF_UNIT, ROUNDING, TURNS, UNFELT
 from prioritized_ik.validation import Array, length, lengths
 
 Floats = NDArray[np.floating]  # doubles, or in extended precision
-
-TURNS = 2  # of a basis in extended precision; each gains as many digits as the level's weakest direction leaves
-
-HALF_UNIT = 0.5 * float(np.finfo(np.longdouble).eps)  # how far an operation in extended precision can be off, relatively
-
-IMPROVEMENTS = 4  # of a combination in extended precision; each gains as many digits as the rows leave
 
 
 def farthest(rows: Array, room: Array, basis: Array) -> float:
@@ -201,7 +195,7 @@ def balanced(
     positive = combination > 0.0
     columns = np.vstack([exact, -exact[held]])[positive].T
     improved = combination[positive].astype(long)
-    for _ in range(IMPROVEMENTS):
+    for _ in range(BALANCINGS):
         missing = -gradient - columns @ improved
         improved = improved + np.linalg.lstsq(signed[positive].T, missing.astype(float))[0]
     if improved.min(initial=0.0) >= 0.0:

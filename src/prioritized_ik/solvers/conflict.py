@@ -17,13 +17,8 @@ import numpy as np
 from prioritized_ik.errors import PrioritizedIkError
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.hierarchy import impossible_rows
-from prioritized_ik.tolerances import FEASIBLE, ROUNDING
+from prioritized_ik.tolerances import FEASIBLE, PASSES, PUSHING, RESOLVED, ROUNDING
 from prioritized_ik.validation import Array, lengths
-
-#: HiGHS keeps rows to within 1e-7 of its unit, so a least violation above this many units is right to one in a million.
-RESOLVED = 0.1
-PASSES = 30  # each leaves a tenth of the violation at most, if it does not end it: more than 1e20 to `FEASIBLE`
-PUSHING = 1e-7  # a multiplier above this is positive: together they are 1, and HiGHS is right to 1e-7
 
 
 @dataclass(frozen=True)

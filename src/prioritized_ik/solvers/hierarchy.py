@@ -22,12 +22,10 @@ from numpy.typing import NDArray
 from prioritized_ik.problem import IKProblem, Level, replaced
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, Spectrum, level_decomposition
 from prioritized_ik.solvers.subspaces import Range, divided, pivoted_qr, range_of
-from prioritized_ik.tolerances import DEPENDENT, EPS, FEASIBLE, FLOOR, PROJECTION, SETTLED_PER_RANK_TOLERANCE, UNSURE
+from prioritized_ik.tolerances import AMPLE, DEPENDENT, EPS, FEASIBLE, FLOOR, PROJECTION, SETTLED_PER_RANK_TOLERANCE, UNSURE
 from prioritized_ik.validation import Array, distinct, length, lengths, tolerance_above_rounding
 
 HARD = -1  # the level of hard rows
-
-AMPLE = 3.0  # OSQP loses steps where a step measures one unit or more, ProxQP where it measures a tenth
 
 
 @dataclass(frozen=True)

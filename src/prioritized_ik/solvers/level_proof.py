@@ -17,7 +17,7 @@ class LevelProof:
 
     Attributes:
         level: its name.
-        gap: how much lower its cost could be with the levels above where they are, in its own units, squared, beyond rounding.
+        gap: how much lower its cost could be, beyond rounding, those above as they are; in its own units, squared.
         carried: how much lower it could be by rounding, of its own or of those above, or if these were mended.
         demand: √(bᵀ W b), or its error √Q if that is more, what the gap is relative to, squared.
         displacement: what would still lower the level's cost without harm to those above `(m,)`, beyond rounding.

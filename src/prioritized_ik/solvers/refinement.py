@@ -19,6 +19,7 @@ import numpy as np
 import qpsolvers
 import scipy.sparse
 
+from prioritized_ik.tolerances import PROXIMAL_ROUNDS, RESTED, ZOOMED
 from prioritized_ik.validation import Array
 
 
@@ -51,10 +52,6 @@ class Posed(Protocol):
 
 
 SolveOnce = Callable[[qpsolvers.Problem], Array]
-
-PROXIMAL_ROUNDS = 2  # of one solve; every zoom adds as many
-RESTED = 1e-10  # ρ‖z - z_k‖ below this leaves no trace in the costed variables
-SETTLED = 1e-9  # zooming stops once it moves the joint step by less than this fraction
 
 
 def proximal_point(stage: Posed, solve_once: SolveOnce, shift: float, gave_up: type[Exception]) -> SolveOnce:
@@ -110,7 +107,7 @@ def zoom_in(stage: Posed, x: Array, zooms: tuple[float, ...], solve_once: SolveO
         except gave_up:
             return x
         x = x + epsilon * d
-        if epsilon * np.linalg.norm(stage.basis @ d) <= SETTLED * np.linalg.norm(stage.dtheta(x)):
+        if epsilon * np.linalg.norm(stage.basis @ d) <= ZOOMED * np.linalg.norm(stage.dtheta(x)):
             return x
     return x
 

@@ -20,15 +20,11 @@ from numpy.typing import NDArray
 
 from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy
-from prioritized_ik.tolerances import EXCEEDED
+from prioritized_ik.tolerances import EXCEEDED, FAR_SLACK
 from prioritized_ik.validation import Array, lengths
 
 if TYPE_CHECKING:
     import qpsolvers
-
-#: In the last stage the optimum is within 2 units of x = 0, which is feasible; slacks beyond this can be cut to it
-#: without changing the optimum, and interior-point solvers start far off if they are not.
-FAR_SLACK = 10.0
 
 
 @dataclass(frozen=True)
