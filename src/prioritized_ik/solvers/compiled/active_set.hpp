@@ -153,7 +153,7 @@ class ActiveSet : public Written {
             if (prove(ids, t)) return true;
             if (mends_ && again < int(tol_.REFINEMENTS)) {
                 if (!again) copy(u_, unmended_, stride), unmended_wrong_ = wrong_;
-                mend(ids, t);
+                mend();
                 if (keeps()) continue;
                 again++;
             }
@@ -173,9 +173,9 @@ class ActiveSet : public Written {
         return true;
     }
 
-    void mend(const int* ids, int t) {
+    void mend() {
         add(1.0, mend_, u_, stride);
-        keep_bounds(ids, t);
+        keep_frozen();
         measure();
     }
 

@@ -104,19 +104,12 @@ class Face : public Factored {
             if (worst > tol_.DRIFT * norm(x_, m_)) hold(ids, rows, sides, t);
         }
         out_of(x_, u_);
-        keep_bounds(ids, t);
+        keep_frozen();
     }
 
-    // Frozen joints, and those at a bound among the rows `ids` (t), are there to the last bit.
-    void keep_bounds(const int* ids, int t) {
+    void keep_frozen() {
         for (int j = 0, e = 0; e < frozen_; j++)
             if (io.lower[j] == io.upper[j]) u_[j] = equal_side_[e++];
-        const double rounding = tol_.ROUNDING * norm(u_, m_);
-        for (int k = 0; k < t && ids[k] < 2 * m_; k++) {
-            const int j = ids[k] % m_;
-            const double bound = ids[k] < m_ ? side_[j] : -side_[m_ + j];
-            if (abs(u_[j] - bound) <= rounding) u_[j] = bound;
-        }
     }
 
     // Rows of soft levels come after the hard ones, level by level, and are held from the level below theirs on.

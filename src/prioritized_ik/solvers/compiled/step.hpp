@@ -72,7 +72,7 @@ class Step : public ActiveSet {
             if (worst_ >= -tol_.FREE * scale_) {
                 for (int again = 0; !prove(nullptr, 0); again++) {
                     if (!mends_ || again == int(tol_.REFINEMENTS)) throw Declined{UNPROVEN};
-                    mend(nullptr, 0);
+                    mend();
                     if (worst_ < -tol_.FREE * scale_) throw Declined{UNPROVEN};
                 }
                 conclude(nullptr, 0);
