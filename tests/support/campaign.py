@@ -446,7 +446,8 @@ def thin_for_the_step(rng: np.random.Generator) -> Sketch:
     best = exact.optimum(exact.ExactProblem.of(s.problem()))
     assert best is not None
     normal, _ = s.rows.pop()
-    return s.row(normal, 2.0 ** np.floor(np.log2(1e-8 * np.linalg.norm(np.array(best.x, float)) * np.linalg.norm(normal))))
+    size = np.linalg.norm(np.array(best.x, float)) or 1.0
+    return s.row(normal, 2.0 ** np.floor(np.log2(1e-8 * size * np.linalg.norm(normal))))
 
 
 @kind
