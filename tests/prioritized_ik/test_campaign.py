@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 
 import campaign
 import exact
@@ -161,3 +162,9 @@ def test_weights_far_apart_leave_the_default_method_its_certificate_beside_joint
         step = pik.solve(problem)
         assert step.certificate.holds, step
         np.testing.assert_allclose(step.dtheta, np.array(best.x, float), rtol=0, atol=1e-9)
+
+
+def test_the_gap_counts_what_rounding_of_the_levels_above_moves_rows_that_push_hard() -> None:
+    tally = campaign.campaign(["pushed_hard"], range(100), partial(campaign.judge, solver="active-set"))["pushed_hard"]
+    assert not tally.fatal, tally
+    assert tally.counts[campaign.RIGHT] > 90

@@ -525,6 +525,17 @@ def row_nearly_parallel(rng: np.random.Generator) -> Sketch:
 
 
 @kind
+def pushed_hard(rng: np.random.Generator) -> Sketch:
+    """A row that hardly feels what the level above leaves: a turn of what that decides moves the optimum along it."""
+    s = Sketch(rng, int(rng.integers(3, 6)))
+    task = [s.vector() for _ in range(s.m - 2)]
+    s.level(task, s.integers(s.m - 2, most=9))
+    s.row(s.integers(s.m - 2, most=2) @ np.array(task) + s.power(-24, -14) * s.vector())
+    s.reference = s.integers(s.m, most=5)
+    return s
+
+
+@kind
 def row_needs_far_joint(rng: np.random.Generator) -> Sketch:
     """x1 <= r x2 with r = 2^-k, where x2 has room of about 1 / r and level 1 feels x1 alone."""
     s = Sketch(rng, 2)

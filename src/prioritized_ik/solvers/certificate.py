@@ -14,9 +14,9 @@ without harm to those above:
 with leak_i how far a row that a level above holds can move without costing that level more than its own gap, and the rest
 counted in coordinates in which Q_ℓ is ‖·‖² (along directions that the level does not feel: times the size of the step).
 Where the levels above are decided to rounding only, the step may be off by v, and the level's cost by
-2 ‖A_ℓᵀW_ℓ(A_ℓ u - b_ℓ)‖ v + ‖W_ℓ^½ A_ℓ‖² v² more, and by what mending the levels above would cost it. So complementary
-slackness is part of the bound: a row merely near cannot carry a multiplier for nothing. What the conditions leave over is
-told as a joint displacement too, because a level may hardly feel what decides the step.
+2 (‖A_ℓᵀW_ℓ(A_ℓ u - b_ℓ)‖ + Σ |λ_i|) v + ‖W_ℓ^½ A_ℓ‖² v² more, as rows follow, and by what mending the levels above would
+cost it. So complementary slackness is part of the bound: a row merely near cannot carry a multiplier for nothing. What the
+conditions leave over is told as a joint displacement too, because a level may hardly feel what decides the step.
 
 Everything is in the problem's joint metric.
 """
@@ -282,7 +282,7 @@ class Proof:
         return LevelProof(
             level.name,
             gap,
-            rounding + steepness * above + (strength * above) ** 2 + handed,
+            rounding + (steepness + 2.0 * float(np.abs(pull).sum())) * above + (strength * above) ** 2 + handed,
             max(demand, math.sqrt(level.cost(self._u)), LEAST_DEMAND * shortfall.strength * self.scale),
             look.displacement,
             max(look.explained, loosened, self._off),

@@ -189,7 +189,9 @@ class Certified : public Extended {
         const double demand = max(last ? g.size : max(block->demand, block->asked), max(sqrt(g.cost), tol_.LEAST_DEMAND * g.size));
         double* figures = io.figures.data() + size_t(l) * FIGURES;
         const double moved = g.strength * carried_over;
-        figures[LEVEL_GAP] = gap + rounded + g.steepness * carried_over + moved * moved;
+        double steepness = g.steepness;  // rows follow what levels above move, too
+        for (int i = 0; i < look.n; i++) steepness += 2.0 * abs(look.combination[i]) / look.sizes[i];
+        figures[LEVEL_GAP] = gap + rounded + steepness * carried_over + moved * moved;
         if (!last) blur_ = max(blur_, block->blur);
         figures[RELATIVE_GAP] = gap > 0.0 && demand > 0.0 ? gap / (demand * demand) : 0.0;
         figures[STATIONARITY] = excess / scale_;

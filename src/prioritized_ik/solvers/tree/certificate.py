@@ -150,7 +150,8 @@ class TreeProof:
             self._leak_of_rows[first_rows] = gap / rows[first_rows]
             loosened = float(np.abs(self._slack[first_rows]).sum())
         above = self._above
-        carried = 2.0 * strength * cost * above + (strength * above) ** 2
+        pulled = float(np.abs(bounds).sum() + np.abs(rows) @ posed.lengths[posed.parts[0]])  # rows follow, too
+        carried = 2.0 * (strength * cost + pulled) * above + (strength * above) ** 2
         self._above = max(self._above, found.feigned, loosened)
         rounding = max(found.feigned, loosened)
         return TreeLevelProof(gap, demand, excess, rounding, carried, bounds, rows, wrong_bounds, wrong_rows)
