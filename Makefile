@@ -44,8 +44,8 @@ lint: setup
 types: setup
 	$(BIN)/mypy
 
-# Two processes, a file at a time in the order of tests/support/slow.py.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+# Three processes, as on two cores one of them often waits; a file at a time in the order of tests/support/slow.py.
+PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 unit: setup
 	$(PYTEST)
