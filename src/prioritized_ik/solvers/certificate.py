@@ -270,6 +270,7 @@ class Proof:
         self._leak[first] = (gap + rounding) / multipliers[first]
         carrying = counts & ~back
         loosened = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free)
+        self._loose = max(self._loose, self._evaded(near[carrying], look, shortfall.felt))
         # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
         drawn = self._off * (1.0 + follows)
         above = max(self._above, drawn)
@@ -293,6 +294,20 @@ class Proof:
             self.scale,
             self.tolerance,
         )
+
+    def _evaded(self, carrying: NDArray[np.int_], look: "Look", range_: Range) -> float:
+        """Return how far the level moves if `carrying` rows `(t,)` hold it only as far as its unfelt directions allow.
+
+        A row holds a level for good where no direction that the level does not feel moves it. What is left of the gradient
+        along these is a share of the multipliers that nothing holds: the level takes a way around the rows, however long.
+        """
+        left = length((look.beyond / look.sizes)[range_.felt.shape[1] :])
+        normals = self._rows[carrying]
+        moves = lengths(normals @ range_.unfelt)
+        evading = moves > self._hierarchy.settled
+        if not left or not evading.any():
+            return 0.0
+        return left / float(moves[evading].min()) * float(lengths(normals[evading] @ range_.felt @ range_.felt.T).max())
 
     def _loosened(self, carrying: NDArray[np.int_], multipliers: Array, range_: Range, free: Array) -> float:
         """Return how far the step may go while the `carrying` rows `(t,)` share out the room that they have.
