@@ -32,7 +32,7 @@ compare: setup
 paper: setup
 	$(BIN)/prioritized-ik paper --out results/paper
 
-# The checks go side by side; the tests after them, since the check of the package compiles anew what they load.
+# The checks go side by side, the tests after them.
 test: setup
 	@$(MAKE) --no-print-directory --jobs 2 lint types package
 	@$(MAKE) --no-print-directory unit
