@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from trees import ball_chain, random_problem, random_tree, rotation, unit
 
-from prioritized_ik.kinematic_tree import KinematicTree, PointRows
+from prioritized_ik.kinematic_tree import BASE, KinematicTree, PointRows
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled import tree as compiled_tree
 from prioritized_ik.solvers.compiled.library import library
@@ -63,6 +63,21 @@ def test_the_compiled_elimination_does_what_the_python_one_does(seed):
         for ask in ("pulls", "displacement"):
             answers = [getattr(form, ask)(level, some) for form, some in zip(forms, whitened, strict=True)]
             np.testing.assert_allclose(*answers, atol=1e-6 * max(1.0, np.abs(answers[0]).max()))
+
+
+@compiled
+@pytest.mark.parametrize("seed", range(6))
+def test_the_core_moves_points_as_the_tree_does(seed):
+    rng = np.random.default_rng(seed)
+    tree = random_tree(rng, 20, branching=0.3)
+    joints = np.array([BASE, *rng.integers(0, 20, size=12)])  # the first point stands still
+    points = PointRows(tree, joints, rng.normal(size=(13, 3)), rng.normal(size=(13, 3)))
+    posed, u = PosedOnTree(IKProblem([TreeLevel(points, np.zeros(13))])), rng.normal(size=20)
+    rows = posed.on_joints
+    motions, sizes = CompiledElimination(rows).motions(u)
+    np.testing.assert_allclose(motions, points.times(u), atol=1e-14)
+    np.testing.assert_allclose(sizes, points.sizes_of_terms(u), rtol=1e-12)
+    assert motions[0] == sizes[0] == 0.0
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -103,7 +103,7 @@ EXPORTED int core_posing_size() { return int(sizeof(prioritized_ik::Posing)); }
 EXPORTED int core_posed_rows_size() { return int(sizeof(prioritized_ik::PosedRows)); }
 EXPORTED void core_pose(const prioritized_ik::Posing* posing) { prioritized_ik::Poser(*posing).write(); }
 
-// ---- Kinematic trees, for compiled/tree.py. Every function but these two returns -1 if memory runs out.
+// ---- Kinematic trees, for compiled/tree.py. Functions that may run out of memory return -1 then.
 
 EXPORTED void* core_tree_new() { return new (std::nothrow) prioritized_ik::TreeElimination(); }
 EXPORTED void core_tree_delete(prioritized_ik::TreeElimination* tree) { delete tree; }
@@ -112,6 +112,16 @@ EXPORTED int core_tree_input_size() { return int(sizeof(prioritized_ik::TreeInpu
 EXPORTED int core_tree_pose(prioritized_ik::TreeElimination* tree, const prioritized_ik::TreeInput* input) {
     try {
         tree->pose(*input);
+        return 0;
+    } catch (const std::bad_alloc&) {
+        return -1;
+    }
+}
+
+// `Factors.motions`.
+EXPORTED int core_tree_motions(const prioritized_ik::TreeElimination* tree, const double* u, double* motions, double* sizes) {
+    try {
+        tree->motions(u, motions, sizes);
         return 0;
     } catch (const std::bad_alloc&) {
         return -1;

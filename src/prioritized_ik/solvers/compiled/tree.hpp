@@ -2,6 +2,7 @@
 #pragma once
 
 #include "tree_level.hpp"
+#include "tree_motions.hpp"
 
 namespace prioritized_ik {
 
@@ -73,6 +74,8 @@ class TreeElimination {
         if (used_.empty()) join(-1, nullptr, parts_.data(), u);
         else join(used_.back(), nullptr, parts_.data() + inputs_ - left_, u);
     }
+
+    void motions(const double* u, double* motions, double* sizes) const { prioritized_ik::motions(in_, u, motions, sizes); }
 
     // out := a gradient (m) in the coordinates of each level, then of what all leave; of a last level only, returns where it is.
     const double* parts(const double* gradient, double* out, int last = -1) {
@@ -155,7 +158,7 @@ class TreeElimination {
             for (int j = 0; j < m; j++) off[j] += blur_[j];
             stages_.twists(off, twists_);
             for (int row : levels_[number].sorted)
-                pulls_[row] = in_.roots[row] * product(in_.given + size_t(TWIST) * row, twist_of(row));
+                pulls_[row] = in_.roots[row] * product(stages_.row(row), twist_of(row));
             torques(number, pulls_.data(), 1.0, blur_.data());
         }
         for (int i = 0; i < k; i++) pulls_[i] = abs(values[i]) + (is_last ? 0.0 : sizes[i]);
@@ -175,7 +178,10 @@ class TreeElimination {
         if (!is_held) return out;
         for (int j = 0; j < m; j++) step_[j] = blur_[j] < 0.0 ? -noise_[j] : noise_[j];
         std::fill(pulls_.begin(), pulls_.end(), 0.0);
-        parts(step_.data(), parts_.data());
+        int lowest = -1;  // of the levels above
+        for (int above : used_)
+            if (above < number) lowest = above;
+        if (lowest >= 0) parts(step_.data(), parts_.data(), lowest);
         own = parts_.data();
         for (int above : used_) {
             if (above >= number) break;
@@ -211,19 +217,19 @@ class TreeElimination {
 
   private:
     void sort(Level& level) const {
-        const auto before = [&](int a, int b) { return stages_.of_joint[in_.row_joints[a]] < stages_.of_joint[in_.row_joints[b]]; };
+        const auto before = [&](int a, int b) { return stages_.of_row[a] < stages_.of_row[b]; };
         if (!std::is_sorted(level.sorted.begin(), level.sorted.end(), before))
             std::stable_sort(level.sorted.begin(), level.sorted.end(), before);
     }
 
-    const double* twist_of(int row) const { return twists_.data() + size_t(TWIST) * stages_.of_joint[in_.row_joints[row]]; }
+    const double* twist_of(int row) const { return twists_.data() + size_t(TWIST) * stages_.of_row[row]; }
 
     // out (m) := factor times the torques of a level's weighted rows times values (k), or added to it
     void torques(int number, const double* values, double factor, double* out, bool added = false) {
         wrenches_.assign(stages_.all.size() * TWIST, 0.0);
         for (int row : levels_[number].sorted) {
-            const double value = factor * in_.roots[row] * values[row], *c = in_.given + size_t(TWIST) * row;
-            double* to = wrenches_.data() + size_t(TWIST) * stages_.of_joint[in_.row_joints[row]];
+            const double value = factor * in_.roots[row] * values[row], *c = stages_.row(row);
+            double* to = wrenches_.data() + size_t(TWIST) * stages_.of_row[row];
             for (int i = 0; i < TWIST; i++) to[i] += value * c[i];
         }
         for (size_t n = stages_.all.size(); n-- > 0;) {
@@ -246,8 +252,8 @@ class TreeElimination {
         wrenches_.assign(stages_.all.size() * TWIST, 0.0);
         for (int row = 0; row < in_.rows; row++) {
             if (values[row] == 0.0) continue;
-            const double value = in_.roots[row] * values[row], *c = in_.given + size_t(TWIST) * row;
-            double* to = wrenches_.data() + size_t(TWIST) * stages_.of_joint[in_.row_joints[row]];
+            const double value = in_.roots[row] * values[row], *c = stages_.row(row);
+            double* to = wrenches_.data() + size_t(TWIST) * stages_.of_row[row];
             for (int i = 0; i < TWIST; i++) to[i] += abs(value * c[i]);
         }
         for (size_t n = stages_.all.size(); n-- > 0;) {
@@ -274,7 +280,7 @@ class TreeElimination {
         if (u) stages_.twists(u, twists_);
         for (int row : level.sorted) {
             const double* s = u ? twist_of(row) : nullptr;
-            missing_[row] = sides[row] - (s ? in_.roots[row] * product(in_.given + size_t(TWIST) * row, s) : 0.0);
+            missing_[row] = sides[row] - (s ? in_.roots[row] * product(stages_.row(row), s) : 0.0);
         }
     }
 

@@ -24,7 +24,8 @@ class TreeInput(ctypes.Structure):
         + [
             (name, ctypes.c_void_p)
             for name in (
-                *("parents", "row_joints", "row_levels", "axes", "arms", "given", "roots"),
+                *("parents", "row_joints", "row_levels", "angular", "linear", "anchors"),
+                *("points", "directions", "roots"),
                 *("fixed", "counts", "lengths", "strongest", "ranks"),
             )
         ]
@@ -62,17 +63,20 @@ class CompiledElimination(Factors):
         self._core = core
         self._address = _taken(core)
         weakref.finalize(self, _given_back, core, self._address)
-        m, k = rows.tree.joint_count, len(rows.joints)
+        points, tree = rows.points, rows.points.tree
+        m, k = tree.joint_count, len(points)
         self.fixed, self._counts = np.zeros(m, dtype=bool), np.zeros(k, dtype=bool)
         self._lengths, self._strongest = np.zeros(k), np.zeros(rows.levels + 1)
         self._ranks = np.zeros(rows.levels + 1, dtype=np.int32)
         self._kept: dict[str, NDArray[Any]] = {  # whose memory the input points to
-            "parents": np.asarray(rows.tree.parents, dtype=np.int32),
-            "row_joints": np.asarray(rows.joints, dtype=np.int32),
+            "parents": np.asarray(tree.parents, dtype=np.int32),
+            "row_joints": np.asarray(points.joints, dtype=np.int32),
             "row_levels": np.asarray(rows.level, dtype=np.int32),
-            "axes": rows.axes,
-            "arms": rows.arms,
-            "given": np.ascontiguousarray(rows.given),
+            "angular": np.ascontiguousarray(tree.angular, dtype=float),
+            "linear": np.ascontiguousarray(tree.linear, dtype=float),
+            "anchors": np.ascontiguousarray(tree.anchors, dtype=float),
+            "points": np.ascontiguousarray(points.points, dtype=float),
+            "directions": np.ascontiguousarray(points.directions, dtype=float),
             "roots": np.ascontiguousarray(rows.roots),
             "fixed": self.fixed,
             "counts": self._counts,
@@ -83,13 +87,13 @@ class CompiledElimination(Factors):
         addresses = {name: array.ctypes.data for name, array in self._kept.items()}
         sizes = {"joints": m, "rows": k, "levels": rows.levels}
         self._input = TreeInput(**sizes, zero=TREE_ZERO, rounding=ROUNDING, noise=NOISE, **addresses)
-        self._checked(core.core_tree_pose(self._address, ctypes.byref(self._input)))
+        _checked(core.core_tree_pose(self._address, ctypes.byref(self._input)))
 
     def factor(self, fixed: NDArray[np.bool_], held: NDArray[np.bool_]) -> Ending:
         """See `Elimination.factor`."""
         self.fixed[:] = fixed
         np.logical_or(self.rows.level != 0, held, out=self._counts)
-        ending = Ending(self._checked(self._core.core_tree_factor(self._address)))
+        ending = Ending(_checked(self._core.core_tree_factor(self._address)))
         self.ranks, self.strongest = self._ranks.tolist(), self._strongest.tolist()
         sizes = [*self.ranks, len(fixed) - int(np.count_nonzero(fixed)) - sum(self.ranks)]
         ends = np.cumsum(sizes).tolist()
@@ -100,8 +104,14 @@ class CompiledElimination(Factors):
         """See `Elimination.solve`."""
         given = [np.ascontiguousarray(array, dtype=float) for array in (values, sides, reference)]
         u = np.empty(len(values))
-        self._checked(self._core.core_tree_solve(self._address, *(array.ctypes.data for array in given), u.ctypes.data))
+        _checked(self._core.core_tree_solve(self._address, *(array.ctypes.data for array in given), _place(u)))
         return u
+
+    def motions(self, u: Array) -> tuple[Array, Array]:
+        """See `Factors.motions`."""
+        u, motions, sizes = np.ascontiguousarray(u, dtype=float), np.empty(len(self._counts)), np.empty(len(self._counts))
+        _checked(self._core.core_tree_motions(self._address, u.ctypes.data, _place(motions), _place(sizes)))
+        return motions, sizes
 
     def parts(self, gradient: Array) -> list[Array]:
         """See `Elimination.parts`."""
@@ -114,7 +124,7 @@ class CompiledElimination(Factors):
 
     def pulls(self, level: int, whitened: Array) -> Array:
         """See `Elimination.pulls`."""
-        return self._asked(PULLS, level, whitened, len(self.rows.joints))
+        return self._asked(PULLS, level, whitened, len(self.rows.level))
 
     def displacement(self, level: int, whitened: Array) -> Array:
         """See `Elimination.displacement`."""
@@ -123,10 +133,10 @@ class CompiledElimination(Factors):
     def balance(self, level: int, given: Array, sizes: Array, rounded: float, off: Array, *, is_held: bool) -> Balance:
         """See `Factors.balance`, which this does in one go."""
         arrays = [np.ascontiguousarray(array, dtype=float) for array in (given, sizes)]
-        m, k = len(self.fixed), len(self.rows.joints)
+        m, k = len(self.fixed), len(self.rows.level)
         made = [off.copy(), np.empty(m), np.empty(k), np.empty(m), np.empty(6)]
-        addresses = [array.ctypes.data for array in (*arrays, *made)]
-        self._checked(self._core.core_tree_balance(self._address, level, is_held, rounded, *addresses))
+        addresses = [*(array.ctypes.data for array in arrays), *map(_place, made)]
+        _checked(self._core.core_tree_balance(self._address, level, is_held, rounded, *addresses))
         off, rest, pulls, of_bounds, figures = made
         return Balance(rest, pulls, off, of_bounds, *figures.tolist())
 
@@ -137,7 +147,7 @@ class CompiledElimination(Factors):
     def count_below(self, level: int, tau: float) -> int | None:
         """See `Elimination.count_below`."""
         count: int = self._core.core_tree_count_below(self._address, level, tau)
-        return None if count == -1 else self._checked(count)
+        return None if count == -1 else _checked(count)
 
     @property
     def memory(self) -> float:
@@ -147,11 +157,16 @@ class CompiledElimination(Factors):
     def _asked(self, question: int, level: int, given: Array, count: int) -> Array:
         given = np.ascontiguousarray(given, dtype=float)
         out = np.empty(count)
-        self._checked(self._core.core_tree_ask(self._address, question, level, given.ctypes.data, out.ctypes.data))
+        _checked(self._core.core_tree_ask(self._address, question, level, given.ctypes.data, _place(out)))
         return out
 
-    @staticmethod
-    def _checked(answer: int) -> int:
-        if answer < 0:
-            raise MemoryError("no memory for the compiled core")
-        return answer
+
+def _place(array: NDArray[Any]) -> int:
+    """Return the address of an array that is written to; `array.ctypes.data` takes several times as long."""
+    return ctypes.addressof(ctypes.c_char.from_buffer(array.data)) if array.size else 0
+
+
+def _checked(answer: int) -> int:
+    if answer < 0:
+        raise MemoryError("no memory for the compiled core")
+    return answer

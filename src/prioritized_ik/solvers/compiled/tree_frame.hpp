@@ -72,12 +72,11 @@ class Frame {
         is_first = false;
         const int count = int(above.steps.size());
         steps.resize(count);
-        twists_.clear();
         int at = 0;
         size_t need = 0;
-        for (const LevelStep& from : above.steps) need += size_t(TWIST) * padded(from.left);
-        twists_.resize(need);
-        double* place = twists_.data();
+        for (const LevelStep& from : above.steps) need += size_t(TWIST + from.before) * padded(from.left);
+        moves_.resize(need);
+        double* place = moves_.data();
         for (int k = 0; k < count; k++) {
             const LevelStep& from = above.steps[count - 1 - k];
             LevelStep& step = steps[k];
@@ -86,7 +85,11 @@ class Frame {
             step.d_before = from.left;
             step.inputs = from.turned();
             const double* turn = above.pool_.data() + from.turn;
-            step.flow = {turn + from.decided, from.width()};
+            step.flow = {place, padded(from.left)};
+            for (int i = 0; i < from.before; i++, place += step.flow.stride) {
+                copy(turn + size_t(i) * from.width() + from.decided, place, from.left);
+                clear(place + from.left, step.flow.stride - from.left);
+            }
             step.in = {turn + from.decided + from.left, from.width()};
             step.in_at = at;
             at += step.inputs;
@@ -100,10 +103,8 @@ class Frame {
                 continue;
             }
             step.twist = {place, state.stride};
-            clear(place, size_t(TWIST) * state.stride);
-            for (int i = 0; i < TWIST; i++)
-                add_rows_of(earlier.twist.row(i), state, earlier.d, place + size_t(i) * state.stride, state.stride);
-            place += size_t(TWIST) * state.stride;
+            for (int i = 0; i < TWIST; i++, place += state.stride)
+                combine(earlier.twist.row(i), state.at, state.stride, earlier.d, place, state.stride);
         }
         inputs = at;
     }
@@ -114,14 +115,14 @@ class Frame {
         most_ = 0;
         int decided = 0, at = 0;
         starts_.assign(stages.all.size() + 1, 0);
-        for (int row : sorted) starts_[stages.of_joint[in.row_joints[row]] + 1]++;
+        for (int row : sorted) starts_[stages.of_row[row] + 1]++;
         for (size_t n = 0; n < stages.all.size(); n++) starts_[n + 1] += starts_[n];
         for (size_t k = 0; k < steps.size(); k++) {
             LevelStep& step = steps[k];
             if (step.stage >= 0) step.own = starts_[step.stage], step.own_end = starts_[step.stage + 1];
             step.e_at = decided;
             part(in, stages, step, k ? &steps[k - 1] : nullptr);
-            most_ = max(most_, max(step.width(), padded(step.d)));
+            most_ = max(most_, max(step.width(), max(padded(step.d), padded(step.decided + step.d_before))));
             decided += step.decided;
         }
         for (size_t k = steps.size(); k-- > 0;) {
@@ -133,16 +134,14 @@ class Frame {
 
     // z -> e, f; f in the order of the frame below.
     void split(const double* z, double* e, double* f) {
-        double *w = buffer(most_), *out = w + most_;
+        double *given = buffer(most_), *out = given + most_;  // w and z of a step; e, w and f
         for (const LevelStep& step : steps) {
-            const int c = step.size(), width = step.width();
-            clear(out, width);
-            const double* turn = pool_.data() + step.turn;
-            for (int i = 0; i < step.before; i++) add(w[i], turn + size_t(i) * width, out, width);
-            for (int i = step.before; i < c; i++) add(z[step.in_at + i - step.before], turn + size_t(i) * width, out, width);
-            if (step.decided) copy(out, e + step.e_at, step.decided);
-            copy(out + step.decided, w, step.left);
-            copy(out + step.decided + step.left, f + step.f_at, step.turned());
+            const int width = step.width();
+            copy_few(z + step.in_at, given + step.before, step.inputs);
+            combine(given, pool_.data() + step.turn, width, step.size(), out, width);
+            if (step.decided) copy_few(out, e + step.e_at, step.decided);
+            copy_few(out + step.decided, given, step.left);
+            copy_few(out + step.decided + step.left, f + step.f_at, step.turned());
         }
     }
 
@@ -153,9 +152,9 @@ class Frame {
             const LevelStep& step = steps[k];
             const int c = step.size(), width = step.width();
             clear(in, width);
-            if (e) copy(e + step.e_at, in, step.decided);
-            copy(w, in + step.decided, step.left);
-            if (f) copy(f + step.f_at, in + step.decided + step.left, step.turned());
+            if (e) copy_few(e + step.e_at, in, step.decided);
+            copy_few(w, in + step.decided, step.left);
+            if (f) copy_few(f + step.f_at, in + step.decided + step.left, step.turned());
             const double* turn = pool_.data() + step.turn;
             for (int i = 0; i < c; i++) {
                 const double value = dot(turn + size_t(i) * width, in, width);
@@ -166,31 +165,27 @@ class Frame {
     }
 
     size_t memory() const {
-        return sizeof(double) * (pool_.capacity() + twists_.capacity() + first_axes_.capacity() + work_.capacity()) +
+        return sizeof(double) * (pool_.capacity() + moves_.capacity() + first_axes_.capacity() + work_.capacity()) +
                sizeof(LevelStep) * steps.capacity() + sizeof(int) * (sorted.capacity() + starts_.capacity());
     }
 
   protected:
-    // to += factors (k) times the rows of a matrix
-    static void add_rows_of(const double* factors, const View& matrix, int k, double* to, int n) {
-        for (int i = 0; i < k; i++) add(factors[i], matrix.row(i), to, n);
-    }
-
     // Room for two of a size; no two functions use it at once.
     double* buffer(int size) {
         if (int(buffer_.size()) < 2 * padded(size) + LANES) buffer_.resize(size_t(2) * padded(size) + LANES);
         return buffer_.data();
     }
 
-    // A row on a stage's twist as one on x (d).
+    // A row on a stage's twist as one on x (d, padded).
     void row_here(const LevelStep& step, const double* given, double factor, double* x) const {
         if (is_first) {
             clear(x + TWIST, step.d - TWIST);
             for (int i = 0; i < TWIST; i++) x[i] = factor * given[i];
             return;
         }
-        clear(x, step.d);
-        for (int i = 0; i < TWIST; i++) add(factor * given[i], step.twist.row(i), x, step.d);
+        double scaled[TWIST];
+        for (int i = 0; i < TWIST; i++) scaled[i] = factor * given[i];
+        combine(scaled, step.twist.at, step.twist.stride, TWIST, x, padded(step.d));
     }
 
     // An entry of G.
@@ -215,13 +210,10 @@ class Frame {
         }
     }
 
-    // to (d_before) := row (d) F
+    // to (d_before, padded) := row (d) F
     void flow_back(const Stages& stages, const LevelStep& step, const double* row, double* to) const {
+        if (!is_first) return combine(row, step.flow.at, step.flow.stride, step.d, to, padded(step.d_before));
         clear(to, step.d_before);
-        if (!is_first) {
-            for (int i = 0; i < step.d; i++) add(row[i], step.flow.row(i), to, step.d_before);
-            return;
-        }
         if (step.stage < 0) return;
         const Stage& stage = stages.all[step.stage];
         for (int b = 0; b < stage.states; b++) {
@@ -239,10 +231,7 @@ class Frame {
         const int w = step.width(), before = step.before, stride = padded(before);
         const double* N = prior ? pool_.data() + prior->state : nullptr;
         if (!is_first)
-            for (int i = 0; i < step.d; i++) {
-                const double* row = step.flow.row(i);
-                for (int k = 0; k < step.d_before; k++) add(row[k], N + size_t(k) * stride, whole + size_t(i) * w, stride);
-            }
+            for (int i = 0; i < step.d; i++) combine(step.flow.row(i), N, stride, step.d_before, whole + size_t(i) * w, stride);
         else if (step.stage >= 0) {
             const Stage& stage = stages.all[step.stage];
             for (int b = 0; b < stage.states; b++) {
@@ -291,8 +280,8 @@ class Frame {
         for (int i = 0; i < n; i++) {
             const int row = sorted[step.own + i];
             zeros_[i] = stages.zeros[row];
-            row_here(step, in.given + size_t(TWIST) * row, 1.0 / in.lengths[row], x);
-            for (int k = 0; k < (is_first ? TWIST : d); k++) add(x[k], whole + size_t(k) * w, rows + size_t(i) * w, w);
+            row_here(step, stages.row(row), 1.0 / in.lengths[row], x);
+            combine(x, whole, w, is_first ? min(TWIST, d) : d, rows + size_t(i) * w, w);
         }
         step.decided = lq(rows, n, 0, c, w, c + d + n);
         spread_here(stages, step);
@@ -320,27 +309,54 @@ class Frame {
             int best = -1;
             double most = 0.0;
             for (int i = 0; i < n; i++) {
-                const double* row = rows + size_t(i) * w;
-                double square = 0.0;
-                for (int j = done; j < c; j++) square += row[j] * row[j];
-                const double size = sqrt(square) * scales_[i];
+                const double size = length_from(rows + size_t(i) * w, done, w) * scales_[i];
                 if (size > zeros_[i] && size > most) most = size, best = i;
             }
             if (best < 0) break;
             double *row = rows + size_t(best) * w, *v = vector_.data(), tau;
             clear(v, w);
             const double beta = reflector(row + done, v + done, c - done, tau);
-            const int start = aligned_start(done);
-            for (int i = 0; i < all; i++) reflect(work_.data() + size_t(i) * w + start, v + start, tau, w - start);
+            reflect_all(aligned_start(done), w, all, tau);
             row[done] = beta;
             clear(row + done + 1, c - done - 1);
         }
         return done;
     }
 
+    // Turns `all` rows of work_ (w) by the reflector in vector_, which is zero before `start`.
+    void reflect_all(int start, int w, int all, double tau) {
+        const double* v = vector_.data();
+        int i = 0;
+        for (; i + 4 <= all; i += 4) {
+            double *a = work_.data() + size_t(i) * w, *b = a + w, *c = b + w, *d = c + w;
+            Wide p = {}, q = {}, r = {}, s = {};
+            for (int j = start; j < w; j += WIDE) {
+                const Wide x = wide(v + j);
+                p += wide(a + j) * x, q += wide(b + j) * x, r += wide(c + j) * x, s += wide(d + j) * x;
+            }
+            const Four factors = totals(p, q, r, s) * -tau;
+            for (int j = start; j < w; j += WIDE) {
+                const Wide x = wide(v + j);
+                wide(a + j) += wide_of(factors[0]) * x, wide(b + j) += wide_of(factors[1]) * x;
+                wide(c + j) += wide_of(factors[2]) * x, wide(d + j) += wide_of(factors[3]) * x;
+            }
+        }
+        for (; i < all; i++) reflect(work_.data() + size_t(i) * w + start, v + start, tau, w - start);
+    }
+
+    // Length of a row (w) from a column on.
+    static double length_from(const double* row, int first, int w) {
+        static constexpr double counts[] = {0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1};
+        const int start = aligned_start(first);
+        const Wide counted = wide(row + start) * wide(counts + 8 + start - first);
+        Wide sum = counted * counted;
+        for (int j = start + WIDE; j < w; j += WIDE) sum += wide(row + j) * wide(row + j);
+        return sqrt(total(folded(sum)));
+    }
+
     int most_ = 0;  // numbers of a step
     std::vector<int> starts_;
-    std::vector<double> pool_, twists_, first_axes_, work_, buffer_, vector_, zeros_, scales_, spread_, other_spread_;
+    std::vector<double> pool_, moves_, first_axes_, work_, buffer_, vector_, zeros_, scales_, spread_, other_spread_;
 };
 
 }  // namespace prioritized_ik

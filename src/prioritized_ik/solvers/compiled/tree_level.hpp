@@ -116,23 +116,21 @@ class Level : public Frame {
 
     // out := R^-T of a gradient
     void whiten(const double* gradient, double* out) {
-        double *back = buffer(most_), *next = back + most_;
+        double *back = buffer(2 * most_), *next = back + most_, *felt = next + most_, *handed = felt + most_;
         for (size_t k = steps.size(); k-- > 0;) {
             const LevelStep& step = steps[k];
             const double *root = pool_.data() + step.root, *moved = pool_.data() + step.moved;
-            const int width = padded(step.decided + step.d_before), stride = padded(step.decided);
+            const int e = step.decided, width = padded(e + step.d_before), stride = padded(e);
             double* own = out + step.e_at;
-            for (int j = 0; j < step.decided; j++) {
-                double value = gradient[step.e_at + j];
-                for (int i = 0; i < step.d; i++) value -= moved[size_t(i) * stride + j] * back[i];
+            combine(back, moved, stride, step.d, felt, stride);
+            for (int j = 0; j < e; j++) {
+                double value = gradient[step.e_at + j] - felt[j];
                 for (int i = 0; i < j; i++) value -= root[size_t(i) * width + j] * own[i];
                 own[j] = value / root[size_t(j) * width + j];
             }
             flow_back(*stages_, step, back, next);
-            for (int i = 0; i < step.decided; i++) {
-                const double* row = root + size_t(i) * width + step.decided;
-                for (int j = 0; j < step.d_before; j++) next[j] += row[j] * own[i];
-            }
+            combine(own, root, width, e, handed, width);
+            for (int j = 0; j < step.d_before; j++) next[j] += handed[e + j];
             std::swap(back, next);
         }
     }
@@ -147,7 +145,7 @@ class Level : public Frame {
             const int i = step.inputs, n = i + step.d_before;
             d = step.d;
             for (int r = step.own; r < step.own_end; r++) {
-                const double* given = in.given + size_t(TWIST) * sorted[r];
+                const double* given = stages_->row(sorted[r]);
                 std::vector<double>& x = half;
                 x.assign(padded(d), 0.0);
                 row_here(step, given, 1.0, x.data());
@@ -209,19 +207,20 @@ class Level : public Frame {
         const int e = step.decided, d = step.d, own = step.own_end - step.own, w = padded(e + step.d_before);
         step.rows = n + own;
         most_rows_ = max(most_rows_, step.rows);
-        work_.assign(size_t(step.rows) * w + padded(d) + LANES, 0.0);
-        double *rows = work_.data(), *x = rows + size_t(step.rows) * w;
+        work_.assign(size_t(step.rows) * w + padded(d) + padded(step.d_before), 0.0);
+        double *rows = work_.data(), *x = rows + size_t(step.rows) * w, *back = x + padded(d);
         const double* moved = pool_.data() + step.moved;
         for (int r = 0; r < step.rows; r++) {
             const double* given = handed_.data() + size_t(r) * padded(d);
             if (r >= n) {
                 const int row = sorted[step.own + r - n];
-                row_here(step, in.given + size_t(TWIST) * row, in.roots[row], x);
+                row_here(step, stages_->row(row), in.roots[row], x);
                 given = x;
             }
             double* to = rows + size_t(r) * w;
-            for (int i = 0; i < d; i++) add(given[i], moved + size_t(i) * padded(e), to, e);
-            flow_back(*stages_, step, given, to + e);
+            combine(given, moved, padded(e), d, to, padded(e));
+            flow_back(*stages_, step, given, back);
+            copy(back, to + e, step.d_before);
         }
         step.tape = tape_.size();
         for (int j = 0; j < e; j++) {

@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "dense.hpp"
+#include "vectors.hpp"
 
 namespace prioritized_ik {
 
@@ -12,7 +13,8 @@ struct TreeInput {
     int32_t joints, rows, levels;
     double zero, rounding, noise;  // TREE_ZERO, ROUNDING, NOISE
     const int32_t *parents, *row_joints, *row_levels;
-    const double *axes, *arms, *given, *roots;  // (m, 6), (m, 3), (k, 6), (k)
+    const double *angular, *linear, *anchors;    // (m, 3)
+    const double *points, *directions, *roots;   // (k, 3), (k, 3), (k)
     const uint8_t *fixed, *counts;              // (m), (k)
     double *lengths, *strongest;                // out (k), (levels + 1)
     int32_t* ranks;                             // out (levels + 1)
@@ -43,6 +45,25 @@ inline void move_twist(const double* twist, const double* a, double* to) {
     to[5] = twist[5] + twist[0] * a[1] - twist[1] * a[0];
 }
 
+// to := factors (k) times rows `stride` apart, of which n numbers, padded, are there to be read and written
+inline void combine(const double* factors, const double* rows, int stride, int k, double* to, int n) {
+    for (int j = 0; j < n; j += WIDE) {
+        Wide one = {}, two = {};
+        int i = 0;
+        for (; i + 2 <= k; i += 2) {
+            one += wide_of(factors[i]) * wide(rows + size_t(i) * stride + j);
+            two += wide_of(factors[i + 1]) * wide(rows + size_t(i + 1) * stride + j);
+        }
+        if (i < k) one += wide_of(factors[i]) * wide(rows + size_t(i) * stride + j);
+        wide(to + j) = one + two;
+    }
+}
+
+// `copy` where there are so few that a call takes longer.
+inline void copy_few(const double* from, double* to, int n) {
+    for (int i = 0; i < n; i++) to[i] = from[i];
+}
+
 struct Stage {
     int joints, count, before;  // its joints, base first, from joints_[joints] on; the stage that carries it
     int states, kept;           // how many twists are the state, and where they come from, in kept_[kept ...]
@@ -52,20 +73,23 @@ struct Stage {
 class Stages {
   public:
     std::vector<Stage> all;
-    std::vector<int> joints, kept, of_joint;  // of_joint: the stage of each
-    std::vector<double> axes, spread;         // (joints in order, 6), (stages, 6)
+    std::vector<int> joints, kept, of_joint, of_row;  // of_joint, of_row: the stage of each
+    std::vector<double> axes, spread, given;  // (joints in order, 6), (stages, 6); rows on their joints' twists (k, 6)
     std::vector<double> zeros;                // what of each row of unit length is rounding (k)
     std::vector<uint8_t> real;                // which rows say anything (k)
 
     static constexpr int MOST = 6;  // joints of a stage
 
     void build(const TreeInput& in) {
+        const double unit = unit_of(in);
         sort_joints(in);
         add_states();
-        add_axes(in);
+        add_axes(in, unit);
+        add_rows(in, unit);
         measure(in);
     }
 
+    const double* row(int i) const { return given.data() + size_t(TWIST) * i; }
     const double* axis(const Stage& stage, int i) const { return axes.data() + size_t(TWIST) * (stage.joints + i); }
 
     // Twists (stages, 6) at a step u.
@@ -89,7 +113,7 @@ class Stages {
     void sort_joints(const TreeInput& in) {
         const int m = in.joints;
         std::vector<uint8_t> carrying(m, 0);
-        for (int i = 0; i < in.rows; i++) carrying[in.row_joints[i]] = 1;
+        for (int i = 0; i < in.rows; i++) carrying[max(in.row_joints[i], 0)] = 1;
         std::vector<int> weight(m, 1), first(m + 1, BASE), next(m, BASE), children(m + 1, 0), some;
         for (int j = m - 1; j >= 0; j--) {
             const int at = in.parents[j] < 0 ? m : in.parents[j];
@@ -149,17 +173,57 @@ class Stages {
         }
     }
 
-    void add_axes(const TreeInput& in) {
+    void add_axes(const TreeInput& in, double unit) {
         axes.resize(size_t(TWIST) * in.joints);
         for (Stage& stage : all) {
             double* a = stage.arm;
             a[0] = a[1] = a[2] = 0.0;
             for (int i = stage.count - 1; i >= 0; i--) {
-                const int j = joints[stage.joints + i];
-                move_twist(in.axes + size_t(TWIST) * j, a, axes.data() + size_t(TWIST) * (stage.joints + i));
-                if (in.parents[j] >= 0)
-                    for (int k = 0; k < 3; k++) a[k] += in.arms[size_t(3) * j + k];
+                const int j = joints[stage.joints + i], before = in.parents[j];
+                double own[TWIST];
+                for (int k = 0; k < 3; k++) {
+                    own[k] = in.angular[size_t(3) * j + k];
+                    own[3 + k] = in.linear[size_t(3) * j + k] / unit;
+                }
+                move_twist(own, a, axes.data() + size_t(TWIST) * (stage.joints + i));
+                if (before >= 0)
+                    for (int k = 0; k < 3; k++) a[k] += (in.anchors[size_t(3) * j + k] - in.anchors[size_t(3) * before + k]) / unit;
             }
+        }
+    }
+
+    // See `TreeRowsOnJoints.unit`.
+    static double unit_of(const TreeInput& in) {
+        std::vector<double> away;
+        away.reserve(in.rows);
+        for (int i = 0; i < in.rows; i++) {
+            if (in.row_joints[i] < 0) continue;
+            const double *p = in.points + size_t(3) * i, *c = in.anchors + size_t(3) * in.row_joints[i];
+            const double x = p[0] - c[0], y = p[1] - c[1], z = p[2] - c[2], size = sqrt(x * x + y * y + z * z);
+            if (size > 0.0) away.push_back(size);
+        }
+        if (away.empty()) return 1.0;
+        const auto middle = away.begin() + away.size() / 2;
+        std::nth_element(away.begin(), middle, away.end());
+        return away.size() % 2 ? *middle : 0.5 * (*middle + *std::max_element(away.begin(), middle));
+    }
+
+    // See `TreeRowsOnJoints.given`.
+    void add_rows(const TreeInput& in, double unit) {
+        given.resize(size_t(TWIST) * in.rows);
+        of_row.resize(in.rows);
+        for (int i = 0; i < in.rows; i++) {
+            const int j = in.row_joints[i];
+            of_row[i] = of_joint[max(j, 0)];
+            double *c = given.data() + size_t(TWIST) * i, lever[3];
+            if (j < 0) {
+                clear(c, TWIST);
+                continue;
+            }
+            for (int k = 0; k < 3; k++) lever[k] = (in.points[size_t(3) * i + k] - in.anchors[size_t(3) * j + k]) / unit;
+            cross(lever, in.directions + size_t(3) * i, c);
+            copy(in.directions + size_t(3) * i, c + 3, 3);
+            for (int k = 0; k < TWIST; k++) c[k] *= unit;
         }
     }
 
@@ -192,8 +256,8 @@ class Stages {
         real.assign(in.rows, 0);
         double longest = 0.0;
         for (int i = 0; i < in.rows; i++) {
-            const double* c = in.given + size_t(TWIST) * i;
-            const int n = of_joint[in.row_joints[i]];
+            const double* c = given.data() + size_t(TWIST) * i;
+            const int n = of_row[i];
             const double* G = grams.data() + size_t(ALL) * n;
             double terms = 0.0, square = 0.0;
             for (int p = 0; p < TWIST; p++) {
@@ -209,9 +273,9 @@ class Stages {
         for (int i = 0; i < in.rows; i++) real[i] = in.lengths[i] > in.rounding * longest && in.roots[i] > 0.0;
     }
 
-    double length_anew(int n, const double* given) const {
+    double length_anew(int n, const double* on_twist) const {
         double row[TWIST], moved[TWIST], squares = 0.0;
-        copy(given, row, TWIST);
+        copy(on_twist, row, TWIST);
         for (;; n = all[n].before) {
             for (int i = 0; i < all[n].count; i++) {
                 const double felt = product(row, axis(all[n], i));

@@ -102,6 +102,8 @@ class Search:
                 break
             before = excess
             more = factors.solve(np.zeros(len(u)), self._sides(posed.missing(u), active), posed.reference - u)
+            if length(more) <= REFINED * scale:  # what is in excess is rounding of the multipliers
+                break
             u = np.where(fixed, u, u + more)
             proof = TreeProof(posed, factors, u, active, scale)
         return u, proof

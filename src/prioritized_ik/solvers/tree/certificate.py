@@ -173,7 +173,7 @@ class TreeProof:
     def _sizes(self) -> Array:
         """How large the terms are whose differences the rows' residuals are, and these, weighted `(k,)`."""
         posed = self._posed
-        terms = posed.roots * (np.abs(posed.sides) + posed.rows.sizes_of_terms(self._u))
+        terms = posed.roots * (np.abs(posed.sides) + posed.sizes_of_terms(self._u))
         return terms + posed.roots * np.abs(self._missing)
 
     def _slackness(self, bounds: Array, rows: Array) -> float:

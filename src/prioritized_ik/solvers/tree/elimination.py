@@ -88,6 +88,10 @@ class Elimination(Factors):
             u = u + self._joined(level, triangle.solve(triangle.from_sides(missing)))
         return u + self._joined(rows.levels, None, self._split(np.where(self.fixed, 0.0, reference - u))[1])
 
+    def motions(self, u: Array) -> tuple[Array, Array]:
+        """See `Factors.motions`."""
+        return self.rows.points.times(u), self.rows.points.sizes_of_terms(u)
+
     def parts(self, gradient: Array) -> list[Array]:
         """See `Factors.parts`."""
         decided, rest = self._split(gradient)

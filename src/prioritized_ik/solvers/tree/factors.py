@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.kinematic_tree import BASE, KinematicTree, Numbers, PointRows
+from prioritized_ik.kinematic_tree import BASE, KinematicTree, Numbers, PointRows, crossed, length_of
 from prioritized_ik.validation import Array
 
 HELD = 0  # the level of rows that are held; the problem's are numbered from 1, and the last level comes after them
@@ -19,22 +19,16 @@ class TreeRowsOnJoints:
     """All rows of a problem on a tree, in the problem's joint metric.
 
     Attributes:
-        tree: of joints in the metric, in a unit of length in which turns and motions count alike.
+        points: the rows as motions of points `(k,)`, of a tree in the metric.
         levels: number of the problem's levels.
-        points: the rows as motions of points `(k,)`, in the problem's own unit.
-        joints: the last joint that moves each row's point `(k,)`, a number even where none does.
-        level: of each `(k,)`, `HELD` or from 1 on.
+        level: of each row `(k,)`, `HELD` or from 1 on.
         roots: √w of each `(k,)`, zero of those that count for nothing.
-        given: each row on its joint's twist, moment about its anchor before force, without weights `(k, 6)`.
     """
 
-    tree: KinematicTree
-    levels: int
     points: PointRows
-    joints: Numbers
+    levels: int
     level: Numbers
     roots: Array
-    given: Array
 
     @property
     def last(self) -> int:
@@ -42,15 +36,32 @@ class TreeRowsOnJoints:
         return self.levels + 1
 
     @cached_property
-    def axes(self) -> Array:
-        """The twist of a unit step of each joint `(m, 6)`, ω before v."""
-        return np.concatenate([self.tree.angular, self.tree.linear], axis=1)
+    def unit(self) -> float:
+        """How far points are from the anchors before them, as a rule [m]: in this unit turns and motions count alike."""
+        points = self.points
+        moved = points.joints != BASE
+        away = length_of((points.points - points.tree.anchors[points.joints])[moved])
+        away = away[away > 0.0]
+        return float(np.median(away)) if len(away) else 1.0
 
     @cached_property
-    def arms(self) -> Array:
-        """From the anchor of the joint before to each joint's `(m, 3)`, zero for the first ones."""
-        parents, anchors = self.tree.parents, self.tree.anchors
-        return np.where(parents[:, None] == BASE, 0.0, anchors - anchors[parents])
+    def tree(self) -> KinematicTree:
+        """The joints in that unit of length."""
+        tree, unit = self.points.tree, self.unit
+        return tree.moved_to(tree.angular, tree.linear / unit, tree.anchors / unit)
+
+    @cached_property
+    def joints(self) -> Numbers:
+        """The last joint that moves each row's point `(k,)`, a number even where none does."""
+        return np.maximum(self.points.joints, 0)
+
+    @cached_property
+    def given(self) -> Array:
+        """Each row on its joint's twist in that unit, moment about its anchor before force, without weights `(k, 6)`."""
+        points = self.points
+        levers = (points.points - points.tree.anchors[points.joints]) / self.unit
+        covectors = np.concatenate([crossed(levers, points.directions), points.directions], axis=1)
+        return covectors * np.where(points.joints == BASE, 0.0, self.unit)[:, None]
 
     @cached_property
     def carrying(self) -> NDArray[np.bool_]:
@@ -130,6 +141,13 @@ class Factors(ABC):
             values: of the fixed joints `(m,)`.
             sides: right-hand sides of the rows, weighted `(k,)`.
             reference: r `(m,)`.
+        """
+
+    @abstractmethod
+    def motions(self, u: Array) -> tuple[Array, Array]:
+        """Return how far a step moves each row, and how large the terms are whose sum that is `(k,)`.
+
+        Of the points as they are given, and not of what was factored.
         """
 
     @abstractmethod

@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
-from prioritized_ik.kinematic_tree import BASE, PointRows, crossed, length_of
+from prioritized_ik.kinematic_tree import BASE, PointRows
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.solvers.compiled.tree import CompiledElimination
@@ -49,7 +49,7 @@ class PosedOnTree:
 
     def __init__(self, problem: IKProblem) -> None:
         self._moved_by: Array | None = None
-        self._motions = np.zeros(0)
+        self._motions = self._terms = np.zeros(0)
         tree = tree_of(problem)
         assert tree is not None
         root = problem.metric_root
@@ -90,25 +90,9 @@ class PosedOnTree:
         return np.where(self.rows.joints == BASE, 0.0, np.sqrt(self._weights))
 
     @cached_property
-    def unit(self) -> float:
-        """How far points are from the anchors before them, as a rule [m]: in this unit turns and motions count alike."""
-        moved = self.rows.joints != BASE
-        away = length_of((self.rows.points - self.tree.anchors[self.rows.joints])[moved])
-        away = away[away > 0.0]
-        return float(np.median(away)) if len(away) else 1.0
-
-    @cached_property
     def on_joints(self) -> TreeRowsOnJoints:
-        """Rows and tree in that unit of length, for the elimination; each row says what it did."""
-        rows, tree, unit = self.rows, self.tree, self.unit
-        scaled = tree.moved_to(tree.angular, tree.linear / unit, tree.anchors / unit)
-        levers = (rows.points - tree.anchors[rows.joints]) / unit
-        covectors = np.empty((len(rows), 6))
-        covectors[:, :3] = crossed(levers, rows.directions)
-        covectors[:, 3:] = rows.directions
-        covectors *= np.where(rows.joints == BASE, 0.0, unit)[:, None]
-        joints = np.maximum(rows.joints, 0)
-        return TreeRowsOnJoints(scaled, len(self.parts) - 1, rows, joints, self.level, self.roots, covectors)
+        """The rows for the elimination."""
+        return TreeRowsOnJoints(self.rows, len(self.parts) - 1, self.level, self.roots)
 
     @cached_property
     def sides(self) -> Array:
@@ -117,9 +101,17 @@ class PosedOnTree:
 
     def motions(self, u: Array) -> Array:
         """Return how far `u` `(m,)`, which does not change, moves each row `(k,)`; that of the last one is kept."""
-        if u is not self._moved_by:
-            self._moved_by, self._motions = u, self.rows.times(u)
+        self._move(u)
         return self._motions
+
+    def sizes_of_terms(self, u: Array) -> Array:
+        """Return how large the terms are whose sum `motions` is `(k,)`, for their rounding."""
+        self._move(u)
+        return self._terms
+
+    def _move(self, u: Array) -> None:
+        if u is not self._moved_by:
+            self._moved_by, (self._motions, self._terms) = u, self.factors.motions(u)
 
     def slack(self, u: Array) -> Array:
         """Return how far `u` `(m,)` is from each inequality row `(c,)`, as a distance."""
