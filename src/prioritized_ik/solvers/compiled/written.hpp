@@ -29,10 +29,12 @@ class Written : public Certified {
             if (!is_open_ && variation() > tol_.CLOSE_MARGIN * tol_.UNDECIDED) throw Declined{UNPROVEN};
         }
         if (doubt_) throw Declined{NEARLY_DECIDED};
-        if (-worst_hard_ > tol_.ROUNDING * scale_ / tol_.MARGIN) throw Declined{UNPROVEN};  // what mending it moves: Proof._loose
+        // What mending it moves, if rows push: Proof._loose.
+        if (t && -worst_hard_ > tol_.ROUNDING * scale_ / tol_.MARGIN) throw Declined{UNPROVEN};
         for (int i = 0; i < all_ && (t || soft_); i++) {
             const double off = i < hard_ ? reach_[i] : abs(reach_[i]);
-            if (off > tol_.MARGIN * near && off < near / tol_.MARGIN) throw Declined{NEARLY_TIGHT};
+            // Beyond, whoever proves a step with this margin finds it loose.
+            if (off > tol_.MARGIN * near && off < (1.0 + tol_.MARGIN) * near) throw Declined{NEARLY_TIGHT};
         }
         is_written_ = true;
         const int levels = now_.levels;
