@@ -76,11 +76,13 @@ class RowMemory:
     """The rows that the last step rested on, with a multiplier or not: where the kernel starts from by itself.
 
     Attributes:
-        last: the rows, or their names.
+        last: the rows, or their names; of the last step that rested on any.
+        is_free: whether a step after that was the closed form, so that the next may well be.
     """
 
     def __init__(self) -> None:
         self.last: Collection[str] | fast.Remembered = ()
+        self.is_free = False
 
     def guess(self, hierarchy: Hierarchy) -> Active:
         """Return the rows `(r,)` that the last step rested on."""
@@ -89,7 +91,7 @@ class RowMemory:
 
     def remember(self, rows: Collection[str] | fast.Remembered) -> None:
         """Keep the rows that a step rests on, or their names, for the next."""
-        self.last = rows
+        self.last, self.is_free = rows, False
 
 
 class _Counts(Protocol):
@@ -125,6 +127,9 @@ class Clock:
 
 #: Makes an answer to a problem, u `(m,)` in the joint metric, or the reason why there is none.
 Answer = Callable[[IKProblem, Hierarchy, Clock], Array | str]
+
+#: What comes first, rows or the closed form, by whether it was the closed form last.
+_FROM_MEMORY = {False: Question.STEP, True: Question.CLOSED_FORM_FIRST}
 
 #: Where the kernel starts: rows of the last step, or somebody's answer.
 Start = RowMemory | Answer
@@ -219,9 +224,13 @@ def _tree_step(problem: IKProblem, start: Start, options: SolveOptions, method: 
 def _compiled_step(problem: IKProblem, start: Start, options: SolveOptions, method: str) -> JointStep | None:
     """Return the compiled core's step, or None: from the last rows, or the closed form if it is it."""
     if isinstance(start, RowMemory):
-        question = Question.STEP if options.closed_form_first else Question.FROM_GUESS_ONLY
+        question = _FROM_MEMORY[start.is_free] if options.closed_form_first else Question.FROM_GUESS_ONLY
         step = fast.compiled_step(problem, options.rank_tolerance, start.last, question, method)
-        if step is not None and step.status is not StepStatus.CLOSED_FORM:
+        if step is None:
+            return None
+        if step.status is StepStatus.CLOSED_FORM:
+            start.is_free = True
+        else:
             start.remember(step.written.active)
         return step
     if not options.closed_form_first:

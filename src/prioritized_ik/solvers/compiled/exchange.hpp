@@ -37,7 +37,7 @@ enum Ending : int {
 
 enum Guess : uint8_t { LOOSE, TIGHT_ROW, NOT_KEPT };  // of a row; those of fast.py
 
-enum Question { STEP, CLOSED_FORM_ONLY, FROM_GUESS_ONLY };  // those of library.py
+enum Question { STEP, CLOSED_FORM_ONLY, FROM_GUESS_ONLY, CLOSED_FORM_FIRST };  // those of library.py
 
 struct Declined {
     Ending why;

@@ -46,6 +46,7 @@ class Question(IntEnum):
     STEP = 0
     CLOSED_FORM_ONLY = 1
     FROM_GUESS_ONLY = 2
+    CLOSED_FORM_FIRST = 3  # and then from the guess
 
 
 @dataclass(frozen=True)
