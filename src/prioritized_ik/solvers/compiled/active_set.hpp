@@ -201,13 +201,16 @@ class ActiveSet : public Written {
     }
 
   private:
-    // The set of the last proof without the next of the rows that pull there; false if all such sets were visited.
+    // The set of the last proof without the two rows that pull most there, else without the next one of all that do; false if
+    // all such sets were visited.
     bool drop() {
         const bool other = std::memcmp(exceeded_, proven_ + all_, all_) != 0;
         std::memcpy(exceeded_, proven_ + all_, all_);
-        for (; next_ < wrong_.size(); next_++) {
+        for (; next_ <= wrong_.size(); next_++) {
+            if (!next_ && wrong_.size() < 2) continue;
             std::memcpy(active_, proven_, all_);
-            active_[wrong_[next_]] = 0;
+            if (next_) active_[wrong_[next_ - 1]] = 0;
+            else active_[wrong_[0]] = active_[wrong_[1]] = 0;
             if (!is_visited()) {
                 if (other) refactor();
                 copy(proven_slack_, slack_, all_);
@@ -225,7 +228,7 @@ class ActiveSet : public Written {
     int* ids_ = nullptr;
     uint8_t* proven_ = nullptr;        // active and exceeded rows at the last proof,
     double* proven_slack_ = nullptr;   // the slacks there,
-    size_t next_ = 0;                  // and the next of its `wrong_` rows
+    size_t next_ = 0;                  // and which set comes next, see `drop`
 };
 
 }  // namespace prioritized_ik

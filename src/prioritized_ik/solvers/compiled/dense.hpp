@@ -97,6 +97,11 @@ inline void add_rows(const double* factors, const double* rows, int stride, int 
     for (; j < k; j++) add(factors[j], rows + size_t(j) * stride, to, n);
 }
 
+// to[i] += a[i]^2
+inline void add_squares(const double* a, double* to, int n) {
+    for (int i = 0; i < n; i++) to[i] += a[i] * a[i];
+}
+
 inline void clear(double* a, size_t n) { std::memset(a, 0, sizeof(double) * n); }
 inline void copy(const double* from, double* to, size_t n) { std::memcpy(to, from, sizeof(double) * n); }
 
@@ -260,8 +265,12 @@ class ShrinkingNorms {
     }
     // Takes off `part`; counts anew, from `rest`, when too few digits are left.
     void shrink(int i, double part, const double* rest, int n) {
+        if (shrinks_too_far(i, part)) set(i, dot(rest, rest, n));
+    }
+    // Takes off `part`; whether too few digits are left, and the length is to be counted anew.
+    bool shrinks_too_far(int i, double part) {
         now_[i] -= part * part;
-        if (now_[i] < LOST * exact_[i]) set(i, dot(rest, rest, n));
+        return now_[i] < LOST * exact_[i];
     }
 
   private:

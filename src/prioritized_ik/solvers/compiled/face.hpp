@@ -156,44 +156,60 @@ class Face : public Factored {
     void share(double* rows, double* sides, int t, int first) {
         const int levels = now_.levels, start = start_of(first);
         for (int l = first; l <= levels + 1; l++) shares_[l] = l > first ? 0 : t;
-        if (!t) return;
-        Scope scope(arena_);
-        const int s = padded(t), k = m_ - start + 1;  // columns: coordinates from the last level's to the first's, and the sides
-        double* columns = arena_.zeros(size_t(k) * s);
-        int *order = arena_.array<int>(m_), top = 0;
-        for (int l = levels, end = m_; l >= first; end = start_of(l--)) std::iota(order + m_ - end, order + m_ - start_of(l), 0);
-        for (int i = 0; i < t; i++) {
-            const double* row = rows + size_t(i) * stride;
-            for (int l = levels, end = m_; l >= first; end = start_of(l--)) {
-                double* to = columns + size_t(m_ - end) * s + i;
-                for (int j = start_of(l); j < end; j++, to += s) *to = row[j];
-            }
-            columns[size_t(k - 1) * s + i] = sides[i] - dot(row, x_, start);
-        }
-        for (int l = levels, end = m_; l > first && top < t; end = start_of(l--)) {
-            const int from = m_ - end, below = end - start_of(l);
-            double* own = columns + size_t(from) * s;
-            column_qr(own, s, k - from, below, t, order + from, true, arena_, nullptr, nullptr, top);
-            int rank = 0;
-            for (; rank < min(below, t - top); rank++) {
-                const double size = abs(own[size_t(rank) * s + top + rank]);
-                if (may_be_settled(size, settled_)) doubt_ = true;
-                if (!(size > settled_)) break;
-            }
-            shares_[l] = top += rank;
-            for (int higher = first + 1; higher < l; higher++) shares_[higher] = top;
-        }
         for (int i = 0; i < t; i++) {
             double* row = rows + size_t(i) * stride;
+            sides[i] -= dot(row, x_, start);
             clear(row, start);
-            for (int l = levels, end = m_; l >= first; end = start_of(l--)) {
-                const int from = m_ - end, begin = start_of(l);
-                const bool moves = i < shares_[l];
-                for (int j = 0; j < end - begin; j++)
-                    row[begin + order[from + j]] = moves ? columns[size_t(from + j) * s + i] : 0.0;
-            }
-            sides[i] = columns[size_t(k - 1) * s + i];
         }
+        int top = 0;
+        for (int l = levels, end = m_; l > first && top < t; end = start_of(l--)) {
+            top += triangular(rows + size_t(top) * stride, sides + top, t - top, start, start_of(l), end);
+            for (int higher = first + 1; higher <= l; higher++) shares_[higher] = top;
+        }
+        for (int l = first + 1, i = t; l <= levels; l++)
+            for (; i > shares_[l]; i--) clear(rows + size_t(i - 1) * stride + start_of(l), m_ - start_of(l));
+    }
+
+    // Turns rows (t) and their sides so that the first ones are independent in the coordinates from `begin` to `end`, and the
+    // ones after them zero there, but for what is too little to count; returns how many the first ones are. Reflectors act on
+    // rows as wholes, from `start` on.
+    int triangular(double* rows, double* sides, int t, int start, int begin, int end) {
+        Scope scope(arena_);
+        const int from = aligned_start(start), n = padded(end) - from, most = min(t, end - begin);
+        double *v = arena_.doubles(t), *sum = arena_.doubles(n);
+        ShrinkingNorms norms(end, arena_);
+        clear(sum, n);
+        for (int i = 0; i < t; i++) add_squares(rows + size_t(i) * stride + from, sum, n);
+        for (int j = begin; j < end; j++) norms.set(j, sum[j - from]);
+        int rank = 0;
+        for (; rank < most; rank++) {
+            const int best = norms.longest(begin, end), left = t - rank;
+            double *own = rows + size_t(rank) * stride, tau;
+            for (int i = 0; i < left; i++) v[i] = own[size_t(i) * stride + best];
+            const double size = reflector(v, v, left, tau);
+            if (may_be_settled(abs(size), settled_)) doubt_ = true;
+            if (!(abs(size) > settled_)) break;
+            clear(sum, n);
+            add_rows(v, own + from, stride, left, sum, n);
+            const double turned = -tau * dot(v, sides + rank, left);
+            for (int i = 0; i < left; i++) {
+                double* row = own + size_t(i) * stride;
+                add(-tau * v[i], sum, row + from, n);
+                row[best] = i ? 0.0 : size;
+                sides[rank + i] += turned * v[i];
+            }
+            norms.set(best, 0.0);
+            for (int j = begin; j < end; j++)
+                if (norms.shrinks_too_far(j, own[j])) norms.set(j, square_below(rows + j, rank + 1, t));
+        }
+        return rank;
+    }
+
+    // The sum of squares of rows from `first` to t in one coordinate.
+    double square_below(const double* at, int first, int t) const {
+        double sum = 0.0;
+        for (int i = first; i < t; i++) sum += at[size_t(i) * stride] * at[size_t(i) * stride];
+        return sum;
     }
 
     // Where a level's coordinates start, or those that no level decides.

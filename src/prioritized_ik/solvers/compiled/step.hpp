@@ -31,7 +31,7 @@ class Step : public ActiveSet {
     }
 
   private:
-    static constexpr int PATIENCE = 3;  // with a guess: it may take this part of the sets that its rows take from nothing
+    static constexpr int PATIENCE = 2;  // with a guess: it may take this part of the sets that its rows take from nothing
 
     int answer(Question question) {
         arena_.back_to(0);
