@@ -80,6 +80,22 @@ def test_the_core_moves_points_as_the_tree_does(seed):
     assert motions[0] == sizes[0] == 0.0
 
 
+@pytest.mark.parametrize("form", [Elimination, pytest.param(CompiledElimination, marks=compiled)])
+@pytest.mark.parametrize("seed", range(8))
+def test_rows_and_joints_are_damped_together(form, seed):
+    rng = np.random.default_rng(seed)
+    posed = PosedOnTree(_random(seed))
+    k, m = len(posed.level), posed.tree.joint_count
+    rows, joints = 10.0 ** rng.uniform(-2, 2, size=k), 10.0 ** rng.uniform(-3, 3, size=m)
+    elimination = form(posed.on_joints)
+    elimination.damp(rows, joints)
+    whole = np.vstack([rows[:, None] * posed.rows.matrix, np.diag(joints)])
+    for _ in range(2):  # one factorisation serves many right-hand sides
+        sides = rng.normal(size=k), rng.normal(size=m)
+        expected = np.linalg.lstsq(whole, np.concatenate(sides))[0]
+        np.testing.assert_allclose(elimination.damped(*sides), expected, atol=EXACT * np.linalg.norm(expected))
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_lengths_of_rows_are_those_of_the_matrix(seed):
     posed = PosedOnTree(_random(seed))

@@ -18,6 +18,7 @@ from prioritized_ik.solvers.tree.active_set import Search
 from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
 from prioritized_ik.solvers.tree.elimination import Elimination
 from prioritized_ik.solvers.tree.factors import HELD
+from prioritized_ik.solvers.tree.interior import guessed
 from prioritized_ik.solvers.tree.posed import PosedOnTree
 from prioritized_ik.solvers.tree.step import PATH, tree_step
 
@@ -149,6 +150,57 @@ def test_frozen_joints_and_infinite_sides_mean_what_they_mean_to_matrices():
     assert step.status is dense.status
     np.testing.assert_allclose(step.dtheta, dense.dtheta, atol=SAME * np.linalg.norm(dense.dtheta))
     np.testing.assert_array_equal(step.dtheta[3:6], 0.01)
+
+
+# ---- The interior point
+
+
+def _limited(seed: int, links: int, levels: int = 1) -> IKProblem:
+    rng = np.random.default_rng(seed)
+    return random_problem(
+        rng, ball_chain(rng, links, bend=0.3), levels, contacts=links // 10, bound=0.02, size=2e-3, weights=1.0
+    )
+
+
+def _named(active: ActiveSet, posed: PosedOnTree) -> set[str]:
+    joints, rows = posed.problem.bounds.names, posed.problem.rows.names
+    bounds = {f"{joints[j]} {'upper' if active.side[j] > 0 else 'lower'}" for j in np.flatnonzero(active.side)}
+    return bounds | {rows[i] for i in np.flatnonzero(active.held)}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_interior_point_tells_the_rows_that_the_optimum_rests_on(seed):
+    problem = _limited(seed, 12, 1 + seed % 2)
+    posed = PosedOnTree(problem)
+    inside = guessed(posed, 0.1)
+    dense = _step(problem, BY_MATRICES)
+    assert inside is not None
+    assert len(dense.active_rows) > 10
+    assert len(_named(inside.active, posed) ^ set(dense.active_rows)) <= seed % 2  # one level is told to the last row
+    assert ((posed.lower <= inside.u) & (inside.u <= posed.upper)).all()
+
+
+def test_frozen_joints_and_infinite_sides_are_nothing_to_an_interior_point():
+    problem = _limited(4, 12)
+    lower, upper = problem.bounds.lower.copy(), problem.bounds.upper.copy()
+    lower[3:6] = upper[3:6] = 0.001
+    upper[10:14], lower[20] = np.inf, -np.inf
+    posed = PosedOnTree(IKProblem(problem.levels, Bounds(lower, upper), problem.rows))
+    inside = guessed(posed, 0.1)
+    assert inside is not None
+    np.testing.assert_array_equal(inside.u[3:6], 0.001)
+    found = Search(posed).optimum(inside.active)
+    assert found is not None
+    np.testing.assert_array_equal(inside.active.side, found.active.side)
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_cold_start_with_many_active_limits_takes_few_corrections(levels):
+    step = _step(_limited(5, 80, levels), ALONG_LINKS)
+    assert step.path == PATH
+    assert step.status is StepStatus.SOLVED
+    assert len(step.active_rows) > 100
+    assert step.repairs < 30
 
 
 # ---- The certificate

@@ -128,6 +128,17 @@ EXPORTED int core_tree_motions(const prioritized_ik::TreeElimination* tree, cons
     }
 }
 
+// `Factors.damp` and `Factors.damped`, the first where u is null.
+EXPORTED int core_tree_damped(prioritized_ik::TreeElimination* tree, const double* rows, const double* joints, double* u) {
+    try {
+        if (u) tree->damped(rows, joints, u);
+        else tree->damp(rows, joints);
+        return 0;
+    } catch (const std::bad_alloc&) {
+        return -1;
+    }
+}
+
 // A `TreeElimination::Ending`.
 EXPORTED int core_tree_factor(prioritized_ik::TreeElimination* tree) {
     try {

@@ -129,6 +129,7 @@ def _loaded(path: Path, expected: str) -> tuple[ctypes.CDLL | None, str]:
     core.core_tree_delete.restype = None
     core.core_tree_pose.argtypes = [ctypes.c_void_p] * 2
     core.core_tree_motions.argtypes = [ctypes.c_void_p] * 4
+    core.core_tree_damped.argtypes = [ctypes.c_void_p] * 4
     core.core_tree_factor.argtypes = [ctypes.c_void_p]
     core.core_tree_solve.argtypes = [ctypes.c_void_p] * 5
     core.core_tree_ask.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p]

@@ -1,6 +1,7 @@
 // Strict levels of a kinematic tree: solvers/tree/elimination.py, which says what and why; names are the same.
 #pragma once
 
+#include "tree_damped.hpp"
 #include "tree_level.hpp"
 #include "tree_motions.hpp"
 
@@ -76,6 +77,9 @@ class TreeElimination {
     }
 
     void motions(const double* u, double* motions, double* sizes) const { prioritized_ik::motions(in_, u, motions, sizes); }
+
+    void damp(const double* row_weights, const double* joint_weights) { damped_.factor(stages_, row_weights, joint_weights); }
+    void damped(const double* row_sides, const double* joint_sides, double* u) { damped_.solve(row_sides, joint_sides, u); }
 
     // out := a gradient (m) in the coordinates of each level, then of what all leave; of a last level only, returns where it is.
     const double* parts(const double* gradient, double* out, int last = -1) {
@@ -212,7 +216,7 @@ class TreeElimination {
     size_t memory() const {
         size_t sum = sizeof(double) * (stages_.axes.capacity() + stages_.spread.capacity()) + sizeof(Stage) * stages_.all.capacity();
         for (const Level& level : levels_) sum += level.memory();
-        return sum;
+        return sum + damped_.memory();
     }
 
   private:
@@ -310,6 +314,7 @@ class TreeElimination {
 
     TreeInput in_{};
     Stages stages_;
+    Damped damped_;
     std::vector<Level> levels_;
     std::vector<int> used_;  // the levels that have rows
     int inputs_ = 0, left_ = 0;

@@ -113,6 +113,16 @@ class CompiledElimination(Factors):
         _checked(self._core.core_tree_motions(self._address, u.ctypes.data, _place(motions), _place(sizes)))
         return motions, sizes
 
+    def damp(self, row_weights: Array, joint_weights: Array) -> None:
+        """See `Factors.damp`."""
+        _checked(self._core.core_tree_damped(self._address, row_weights.ctypes.data, joint_weights.ctypes.data, None))
+
+    def damped(self, row_sides: Array, joint_sides: Array) -> Array:
+        """See `Factors.damped`."""
+        u, given = np.empty(len(joint_sides)), (row_sides.ctypes.data, joint_sides.ctypes.data)
+        _checked(self._core.core_tree_damped(self._address, *given, _place(u)))
+        return u
+
     def parts(self, gradient: Array) -> list[Array]:
         """See `Elimination.parts`."""
         whole = self._asked(PARTS, 0, gradient, self._parts[-1].stop)

@@ -10,6 +10,8 @@
     balance.py       how far levels above, bounds and rows balance a level's gradient
     certificate.py   the proof of a step, from products with J and Jᵀ
     active_set.py    from a guess of the active rows to those of the optimum
+    damped.py        least squares of rows and joints together, by one sweep
+    interior.py      a guess by an interior point, made of these
     step.py          from a problem to its step, or to None where the dense form is to answer
 
 What is answered, and what is left to the dense form:

@@ -1,8 +1,9 @@
 """From a guess of the active bounds and rows to the lexicographic optimum on a kinematic tree.
 
 Faces are factored in O(joints), so that sets may change in blocks: what a face's step breaks most becomes active, what
-pulls is let go, until nothing changes. Where that would return to a set, or comes to rows that no step keeps, the search
-starts again from zero with the ratio test, row by row, as in `solvers/active_set.py`.
+pulls is let go, until nothing changes. Where that takes more than a few corrections, `interior.py` says where to go on
+from, in blocks and then by the ratio test, row by row, as in `solvers/active_set.py`; where that is in vain, the search
+starts again from zero.
 """
 
 from dataclasses import dataclass
@@ -11,12 +12,16 @@ import numpy as np
 
 from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
 from prioritized_ik.solvers.tree.factors import Ending
+from prioritized_ik.solvers.tree.interior import guessed
 from prioritized_ik.solvers.tree.posed import PosedOnTree
 from prioritized_ik.tolerances import CERTIFIED, CUT_MARGIN, FLOOR, FREE, KEPT, REFINEMENTS
 from prioritized_ik.validation import Array, length
 
 SHARE = 0.3  # [of the worst violation] what is broken by less is left for later
-BLOCKS = 200  # sets that change in blocks
+FEW = 10  # sets that change in blocks, before an interior point is asked for, which takes as long as about so many
+LESS = 1e-1, 1e-2  # [of the level above] what levels weigh there, one after the other
+MORE = 120  # sets after that which change by one row
+BLOCKS = 200  # sets that change in blocks where that was in vain
 SINGLES = 3  # [of joints and rows] sets after that which change by one row
 REFINED = 1e-11  # [of the step] what a step is off by less is left
 LONG = 1e-3  # [of what levels ask for, by their strength]: steps this long are not short for what levels ask for
@@ -50,6 +55,7 @@ class Search:
         self.posed, self._factors = posed, posed.factors
         self._frozen = posed.lower == posed.upper
         self._least: float | None = None
+        self._corrections = 0
         self._factored: tuple[bytes, bool] | None = None  # the face that is factored, and whether its ranks are clear
 
     def nothing(self) -> ActiveSet:
@@ -134,20 +140,32 @@ class Search:
         return (Found(u, proof, active, 0) if proof.holds_with_margin else None), u
 
     def optimum(self, active: ActiveSet) -> Found | None:
-        """Return the optimum that the search from `active` comes to."""
+        """Return the optimum that the search from `active` comes to.
+
+        Where a few corrections do not find it, an interior point says where to go on from.
+        """
+        self._corrections = 0
+        found = self._in_blocks(active, FEW)
+        for less in LESS[: len(self.posed.parts) - 1]:  # one level has none below it
+            if found is None and (inside := guessed(self.posed, less)) is not None:
+                found = self._in_blocks(inside.active, FEW) or self._one_by_one(inside.u, inside.active, MORE)
+        return found or self._in_blocks(active, BLOCKS) or self._from_zero()
+
+    def _in_blocks(self, active: ActiveSet, most: int) -> Found | None:
+        """Return the optimum that at most so many corrections come to, each of all rows that call for it."""
         visited: set[bytes] = set()
         share = SHARE
-        for corrections in range(BLOCKS):
+        for _ in range(most):
             visited.add(active.key)
             u = self.face(active)
             if u is None:  # so many rows that no step keeps them all
-                return self._one_by_one(corrections)
+                return None
             scale = self._scale(u, active)
             broken = self._broken(u, active, KEPT * scale)
             u, proof = self._proven(u, active, scale)
             last = proof.levels[-1]
             if not broken.count and not last.pulls:
-                return Found(u, proof, active, corrections) if proof.holds_with_margin else None
+                return Found(u, proof, active, self._corrections) if proof.holds_with_margin else None
             if last.pulls:
                 following = _without_pulling(proof, active)
             else:
@@ -156,9 +174,9 @@ class Search:
                 share = 1.0
                 following = self._with_worst(u, active, broken, share) if broken.count else following
                 if following.key in visited:
-                    return self._one_by_one(corrections + 1)
-            active = following
-        return self._one_by_one(BLOCKS)
+                    return None
+            active, self._corrections = following, self._corrections + 1
+        return None
 
     def _with_worst(self, u: Array, active: ActiveSet, broken: ActiveSet, share: float) -> ActiveSet:
         """Return `active` and those of the `broken` bounds and rows that are broken by a `share` of the worst at least."""
@@ -171,17 +189,19 @@ class Search:
             np.where(chosen, broken.side, active.side).astype(np.int8), active.held | (broken.held & (short >= least))
         )
 
-    def _one_by_one(self, corrections: int) -> Found | None:
+    def _from_zero(self) -> Found | None:
         """Return the optimum by the ratio test, from zero, which must be feasible."""
-        posed = self.posed
-        u = np.where(self._frozen, posed.lower, 0.0)
+        u = np.where(self._frozen, self.posed.lower, 0.0)
         if self._worst(u) < 0.0:
             return None
-        active = self.nothing()
+        return self._one_by_one(u, self.nothing(), SINGLES * (len(u) + len(self.posed.problem.rows.upper)))
+
+    def _one_by_one(self, u: Array, active: ActiveSet, most: int) -> Found | None:
+        """Return the optimum by the ratio test, from a feasible step on a face, in so many corrections at most."""
         dropped: dict[
             bytes, int
         ] = {}  # of sets whose step was reached, how many of the rows that pull were dropped in turn
-        for more in range(SINGLES * (len(u) + len(active.held))):
+        for _ in range(most):
             target = self.face(active)
             if target is None:
                 return None
@@ -189,18 +209,19 @@ class Search:
             broken = self._broken(target, active, KEPT * scale)
             if broken.count:
                 u, active = self._towards(u, target, active, broken)
+                self._corrections += 1
                 continue
             u = target
             u, proof = self._proven(u, active, scale)
             if not proof.levels[-1].pulls:
-                return Found(u, proof, active, corrections + more) if proof.holds_with_margin else None
+                return Found(u, proof, active, self._corrections) if proof.holds_with_margin else None
             # Back at a set, the row that was dropped there holds a level above by less than rounding shows: then the next.
             turn = dropped.get(active.key, 0)
             dropped[active.key] = turn + 1
             following = _without_one(proof, active, turn)
             if following is None:
                 return None
-            active = following
+            active, self._corrections = following, self._corrections + 1
         return None
 
     def _towards(self, u: Array, target: Array, active: ActiveSet, broken: ActiveSet) -> tuple[Array, ActiveSet]:

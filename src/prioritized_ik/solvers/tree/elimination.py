@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from prioritized_ik.kinematic_tree import BASE
 from prioritized_ik.solvers.tree.balance import balance
+from prioritized_ik.solvers.tree.damped import Damped
 from prioritized_ik.solvers.tree.factors import HELD, Balance, Ending, Factors, TreeRowsOnJoints
 from prioritized_ik.solvers.tree.frames import END, Coordinates, FrameStep, Parted, joined, next_frame, part, split
 from prioritized_ik.solvers.tree.stages import TWIST, Stage, stages_of, twist_moved
@@ -91,6 +92,15 @@ class Elimination(Factors):
     def motions(self, u: Array) -> tuple[Array, Array]:
         """See `Factors.motions`."""
         return self.rows.points.times(u), self.rows.points.sizes_of_terms(u)
+
+    def damp(self, row_weights: Array, joint_weights: Array) -> None:
+        """See `Factors.damp`."""
+        rows = self.rows.given * row_weights[:, None]
+        self._damped = Damped(self._stages, self._stage_of_rows, rows, joint_weights)
+
+    def damped(self, row_sides: Array, joint_sides: Array) -> Array:
+        """See `Factors.damped`."""
+        return self._damped.solve(row_sides, joint_sides)
 
     def parts(self, gradient: Array) -> list[Array]:
         """See `Factors.parts`."""

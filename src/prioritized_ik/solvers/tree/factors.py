@@ -151,6 +151,14 @@ class Factors(ABC):
         """
 
     @abstractmethod
+    def damp(self, row_weights: Array, joint_weights: Array) -> None:
+        """Factor min ‖w (J u) - b‖² + ‖d u - r‖² of weights w `(k,)` and d `(m,)`, beside the face; see `damped.py`."""
+
+    @abstractmethod
+    def damped(self, row_sides: Array, joint_sides: Array) -> Array:
+        """Return the optimum u `(m,)` of what was damped last, for the right-hand sides b `(k,)` and r `(m,)`."""
+
+    @abstractmethod
     def parts(self, gradient: Array) -> list[Array]:
         """Return a gradient `(m,)` in the coordinates of each level, `HELD` first, and of what all leave."""
 
