@@ -131,6 +131,7 @@ class Certified : public Extended {
         double* combination;
         double *gradient, *rest;      // the level's, and what is left of it
         double *rough, *beyond;       // what rounding can feign of the rest, and the rest beyond that
+        bool is_of_all = false;         // whether the combination is that of all rows taken as equalities, none held
         double far, excess, explained;  // excess: how long a step the rest asks for; explained: what rounding can feign of it
     };
 
@@ -231,7 +232,10 @@ class Certified : public Extended {
             // What is left this long is longer than the step that is allowed, see as_step, and more than rounding.
             const double allowed = tol_.CERTIFIED * scale_ / (tol_.MARGIN * min(block ? 1.0 / block->strength : 1.0, far));
             const double most = allowed + tol_.ROUNDING * g.terms + leak;
-            if (!balance(normals, n, look.held, v, g.values, most, combination)) return false;
+            if (!balance(normals, n, look.held, v, g.values, most, combination)) {
+                look.is_of_all = !look.held && std::any_of(combination, combination + n, [](double share) { return share < 0.0; });
+                return false;
+            }
         }
         const int n = look.n;
 
@@ -470,6 +474,13 @@ class Certified : public Extended {
         Scope scope(arena_);
         const int n = look.n, held = look.held, v = at.all(), *place = look.place;
         const double* normals = look.normals;
+        if (look.is_of_all && std::all_of(place, place + n, [&](int i) { return active_[own.ids[i]]; })) {
+            for (int i = 0; i < n; i++)
+                if (look.combination[i] < 0.0) wrong_.push_back(i);
+            std::sort(wrong_.begin(), wrong_.end(), [&](int i, int j) { return look.combination[i] < look.combination[j]; });
+            for (int& i : wrong_) i = own.ids[place[i]];
+            return false;
+        }
         double* columns = arena_.zeros(size_t(n + 1) * stride);
         int *rows = arena_.array<int>(n), *order = arena_.array<int>(n), *places = arena_.array<int>(n), k = 0;
         for (int i = 0; i < n; i++)

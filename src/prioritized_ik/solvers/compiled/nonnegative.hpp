@@ -17,7 +17,8 @@ inline bool leaves_more(const Triangle& R, const double* z, double most, Arena& 
 }
 
 // x >= 0 that makes |N^T x - target| least, N `t` rows of n, about unit length (Lawson and Hanson). All rows at once are
-// tried first. Returns whether it ended; it does not where no x >= 0 leaves less than `most`, and that is plain to see.
+// tried first. Returns whether it ended; it does not where no x >= 0 leaves less than `most`, and that is plain to see: then x
+// is that of all rows at once, of either sign.
 inline bool nonnegative_least_squares(const double* rows, int stride, int t, int n, const double* target, double* x,
                                       double most, Arena& arena) {
     constexpr double LEFT_OUT = 1e-11, DEPENDENT = 1e-13, GAIN = 1e-14;
@@ -68,7 +69,10 @@ inline bool nonnegative_least_squares(const double* rows, int stride, int t, int
         for (int j = 0; j < k; j++) x[order[j]] = z[j];
         return true;
     }
-    if (k == t && leaves_more(Triangle{columns, stride, k}, z, most, arena)) return false;
+    if (k == t && leaves_more(Triangle{columns, stride, k}, z, most, arena)) {
+        for (int j = 0; j < k; j++) x[order[j]] = z[j];
+        return false;
+    }
     for (int i = 0; i < t; i++) inside[i] = barred[i] = 0;
     for (int iteration = 0; iteration < 3 * t + 30; iteration++) {
         copy(target, rest, n);

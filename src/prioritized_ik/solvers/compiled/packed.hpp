@@ -29,15 +29,15 @@ inline bool read_packed(Exchange& io, const Sizes& now, int stride, double large
         for (size_t i = 0; i < n; i++) sound &= from[i] >= -largest && (from[i] <= largest || from[i] == INFINITE);
         next(to, n);
     };
-    const auto rows = [&](double* to, size_t n, bool may_be_zero) {
-        for (size_t i = 0; i < n; i++) {
-            bool is_zero = true;
-            for (size_t j = 0; j < m; j++) is_zero &= from[j] == 0.0;
-            sound &= may_be_zero || !is_zero;
-            finite(to + i * stride, m);
-        }
+    const auto rows = [&](double* to, size_t n) {
+        sound &= all_within(from, n * m, largest);
+        for (size_t i = 0; i < n; i++) next(to + i * stride, m);
     };
-    rows(io.matrix.data(), now.level_rows, true);
+    const auto rows_of_any_length = [&](double* to, size_t n) {  // not zero
+        for (size_t i = 0; i < n; i++) sound &= std::any_of(from + i * m, from + (i + 1) * m, [](double x) { return x != 0.0; });
+        rows(to, n);
+    };
+    rows(io.matrix.data(), now.level_rows);
     for (int l = 0, first = 0; l < now.levels; first = io.ends[l++])
         if (const size_t n = io.ends[l] - first; io.soft[l]) upper(io.target.data() + first, n);
         else finite(io.target.data() + first, n);
@@ -50,9 +50,9 @@ inline bool read_packed(Exchange& io, const Sizes& now, int stride, double large
     next(io.lower.data(), m);
     next(io.upper.data(), m);
     finite(io.reference.data(), m);
-    rows(io.row_matrix.data(), now.rows, false);
+    rows_of_any_length(io.row_matrix.data(), now.rows);
     upper(io.row_upper.data(), now.rows);
-    rows(io.equality_matrix.data(), now.equalities, false);
+    rows_of_any_length(io.equality_matrix.data(), now.equalities);
     finite(io.equality_target.data(), now.equalities);
     return sound;
 }
