@@ -1,5 +1,6 @@
 """Steps that are next to what the compiled core tells apart: it answers them, as the Python form does."""
 
+import campaign
 import numpy as np
 import paths
 import pytest
@@ -46,3 +47,11 @@ def test_after_a_closed_form_steps_are_the_same(target: float) -> None:
     assert [step.status for step in steps[:2]] == [StepStatus.SOLVED, StepStatus.CLOSED_FORM]
     assert steps[2].dtheta.tobytes() == solve(then).dtheta.tobytes()
     assert steps[2].status is solve(then).status
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [("dyadic", 740065), ("frozen_joints", 740089), ("barely_feasible", 740004), ("equalities", 740010)],
+)
+def test_a_search_through_rows_without_a_step_in_common_comes_to_rest(kind: str, seed: int) -> None:
+    assert campaign.judge_compiled(campaign.draw(kind, seed)).word == campaign.RIGHT

@@ -59,10 +59,9 @@ class ActiveSet : public Written {
                 is_stuck_ = is_visited() && !drop();
                 continue;
             }
-            bool loose = false;
-            for (int i = 0; i < all_; i++)
-                if (active_[i] && reach_[i] > tol_.CERTIFIED * scale_) active_[i] = 0, loose = true;
-            if (loose) {
+            if (has_loose()) {
+                remember();
+                for (int i : wrong_) active_[i] = 0;
                 is_stuck_ = is_visited() && !drop();
                 continue;
             }
@@ -73,10 +72,7 @@ class ActiveSet : public Written {
                 else settle(ids);
                 return true;
             }
-            std::memcpy(proven_, active_, all_);
-            std::memcpy(proven_ + all_, exceeded_, all_);
-            copy(slack_, proven_slack_, all_);
-            next_ = 0;
+            remember();
             if (soft_ && wrong_.size() < fewest_) {
                 fewest_ = wrong_.size();
                 end = visited_.size() + most;
@@ -201,8 +197,25 @@ class ActiveSet : public Written {
     }
 
   private:
-    // The set of the last proof without the two rows that pull most there, else without the next one of all that do; false if
-    // all such sets were visited.
+    // Whether there are active rows that the face cannot hold: they are `wrong_`, the loosest first.
+    bool has_loose() {
+        wrong_.clear();
+        for (int i = 0; i < all_; i++)
+            if (active_[i] && reach_[i] > tol_.CERTIFIED * scale_) wrong_.push_back(i);
+        std::sort(wrong_.begin(), wrong_.end(), [&](int i, int j) { return reach_[i] > reach_[j]; });
+        return !wrong_.empty();
+    }
+
+    // Keeps the set whose rows are `wrong_`.
+    void remember() {
+        std::memcpy(proven_, active_, all_);
+        std::memcpy(proven_ + all_, exceeded_, all_);
+        copy(slack_, proven_slack_, all_);
+        next_ = 0;
+    }
+
+    // The set that was remembered last without the first two of its wrong rows, else without the next one; false if all such
+    // sets were visited.
     bool drop() {
         const bool other = std::memcmp(exceeded_, proven_ + all_, all_) != 0;
         std::memcpy(exceeded_, proven_ + all_, all_);
@@ -226,7 +239,7 @@ class ActiveSet : public Written {
     double* unmended_ = nullptr;       // a step before it is mended,
     std::vector<int> unmended_wrong_;  // and the rows that pull there
     int* ids_ = nullptr;
-    uint8_t* proven_ = nullptr;        // active and exceeded rows at the last proof,
+    uint8_t* proven_ = nullptr;        // active and exceeded rows where some were wrong,
     double* proven_slack_ = nullptr;   // the slacks there,
     size_t next_ = 0;                  // and which set comes next, see `drop`
 };

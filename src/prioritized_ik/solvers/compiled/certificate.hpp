@@ -233,7 +233,8 @@ class Certified : public Extended {
             const double allowed = tol_.CERTIFIED * scale_ / (tol_.MARGIN * min(block ? 1.0 / block->strength : 1.0, far));
             const double most = allowed + tol_.ROUNDING * g.terms + leak;
             if (!balance(normals, n, look.held, v, g.values, most, combination)) {
-                look.is_of_all = !look.held && std::any_of(combination, combination + n, [](double share) { return share < 0.0; });
+                const auto is_negative = [](double share) { return share < 0.0; };
+                look.is_of_all = !look.held && std::any_of(combination, combination + n, is_negative);
                 return false;
             }
         }
@@ -477,7 +478,8 @@ class Certified : public Extended {
         if (look.is_of_all && std::all_of(place, place + n, [&](int i) { return active_[own.ids[i]]; })) {
             for (int i = 0; i < n; i++)
                 if (look.combination[i] < 0.0) wrong_.push_back(i);
-            std::sort(wrong_.begin(), wrong_.end(), [&](int i, int j) { return look.combination[i] < look.combination[j]; });
+            const auto pulls_more = [&](int i, int j) { return look.combination[i] < look.combination[j]; };
+            std::sort(wrong_.begin(), wrong_.end(), pulls_more);
             for (int& i : wrong_) i = own.ids[place[i]];
             return false;
         }

@@ -120,6 +120,7 @@ class Face : public Factored {
         int next = t;
         double* y = arena_.doubles(stride);
         copy(begin_, x_, stride);
+        parted_.is_used = false;
         share(rows, sides, t, 0);
         for (int l = 0; l < now_.levels; l++) {
             const Block& block = levels_[l];
@@ -146,12 +147,13 @@ class Face : public Factored {
         } else {
             clear(y, m_ - c);
         }
-        meet(rows, sides, t, c, m_ - c, nullptr, y);
+        if (parted_.is_used) meet_parted(rows, sides, y);
+        else meet(rows, sides, t, c, m_ - c, nullptr, y);
         copy(y, x_ + c, m_ - c);
     }
 
-    // Shares rows (t) out: each level from `first` on meets those combinations that the levels below it cannot move. Turns the
-    // rows so that those of the lowest come first and are independent there, and the ones after them are zero there, and so on
+    // Shares rows (t) out: each level from `first` on meets those combinations that the levels below it cannot move. Combines
+    // the rows so that those of the lowest come first and are independent there, and the ones after them are zero there, and so on
     // upwards: level l meets the rows from shares_[l + 1] to shares_[l]. What x_ says already goes to the sides.
     void share(double* rows, double* sides, int t, int first) {
         const int levels = now_.levels, start = start_of(first);
@@ -161,13 +163,102 @@ class Face : public Factored {
             sides[i] -= dot(row, x_, start);
             clear(row, start);
         }
-        int top = 0;
-        for (int l = levels, end = m_; l > first && top < t; end = start_of(l--)) {
+        parted_.is_used = t && levels > first && rest_ < m_;
+        int top = parted_.is_used ? part(rows, sides, t, start) : 0;
+        for (int l = first + 1; l <= levels; l++) shares_[l] = top;
+        for (int l = levels - parted_.is_used, end = start_of(l + 1); l > first && top < t; end = start_of(l--)) {
             top += triangular(rows + size_t(top) * stride, sides + top, t - top, start, start_of(l), end);
             for (int higher = first + 1; higher <= l; higher++) shares_[higher] = top;
         }
         for (int l = first + 1, i = t; l <= levels; l++)
             for (; i > shares_[l]; i--) clear(rows + size_t(i - 1) * stride + start_of(l), m_ - start_of(l));
+    }
+
+    // Parts rows (t) into those that what no level decides can hold, which come first, and orthonormal combinations of all that
+    // it does not move; returns how many the first are.
+    int part(double* rows, double* sides, int t, int start) {
+        const int c = rest_, r = m_ - c, s = padded(r);
+        double* work = arena_.zeros(size_t(t) * s);
+        double** row = parted_.row = arena_.array<double*>(t);
+        parted_.chain.reset(arena_.doubles(size_t(r + 1) * s), r + 1, s);
+        parted_.shares = arena_.doubles(size_t(t) * padded(t));
+        parted_.combinations = arena_.doubles(size_t(t) * stride);
+        parted_.sides = arena_.doubles(t);
+        Scope scope(arena_);
+        int* ids = arena_.array<int>(t);
+        for (int i = 0; i < t; i++) {
+            ids[i] = i;
+            row[i] = work + size_t(i) * s;
+            copy(rows + size_t(i) * stride + c, row[i], r);
+        }
+        double left;
+        const int rank = row_pivoted_lq(row, ids, t, t, 0, r, s, parted_.chain, settled_, left, arena_);
+        double *given = arena_.doubles(size_t(t) * stride), *given_sides = arena_.doubles(t);
+        copy(rows, given, size_t(t) * stride);
+        copy(sides, given_sides, t);
+        for (int i = 0; i < t; i++) {
+            copy(given + size_t(ids[i]) * stride, rows + size_t(i) * stride, stride);
+            sides[i] = given_sides[ids[i]];
+            if (may_be_settled(i < rank ? abs(row[i][i]) : norm(row[i] + rank, r - rank), settled_)) doubt_ = true;
+        }
+        parted_.count = t - rank;
+        for (int i = rank; i < t; i++) combine(rows, sides, i, rank, t, start);
+        copy(rows + size_t(rank) * stride, parted_.combinations, size_t(parted_.count) * stride);
+        copy(sides + rank, parted_.sides, parted_.count);
+        return rank;
+    }
+
+    // Row i becomes a combination with the `rank` first ones, and with those before it that are combinations already.
+    void combine(double* rows, double* sides, int i, int rank, int t, int start) {
+        const int c = rest_, from = aligned_start(start), apart = padded(t);
+        double *own = parted_.shares + size_t(i - rank) * apart, *row = rows + size_t(i) * stride;
+        clear(own, apart);
+        own[i] = 1.0;
+        for (int j = 0; j < rank; j++) own[j] = -parted_.row[i][j];
+        for (int j = rank - 1; j >= 0; j--) {
+            own[j] /= parted_.row[j][j];
+            add(-own[j], parted_.row[j], own, j);
+        }
+        add_rows(own, rows + from, stride, rank, row + from, padded(c) - from);
+        sides[i] += dot(own, sides, rank);
+        for (int k = rank; k < i; k++) {
+            const double* other = parted_.shares + size_t(k - rank) * apart;
+            const double share = -dot(own, other, t);
+            add(share, other, own, t);
+            add(share, rows + size_t(k) * stride, row, c);
+            sides[i] += share * sides[k];
+        }
+        const double scale = 1.0 / norm(own, t);
+        for (int j = 0; j < t; j++) own[j] *= scale;
+        for (int j = start; j < c; j++) row[j] *= scale;
+        sides[i] *= scale;
+        clear(row + c, stride - c);
+    }
+
+    // y, the wish of what no level decides, moves to the nearest that lets its rows hold; twice, as in `shift`. What the levels
+    // leave of combinations that have no step in common is shared out among all rows.
+    void meet_parted(const double* rows, const double* sides, double* y) {
+        Scope scope(arena_);
+        const int c = rest_, r = m_ - c, rank = shares_[now_.levels];
+        double *z = arena_.doubles(padded(r)), *wanted = arena_.doubles(padded(rank + parted_.count));
+        for (int i = 0; i < rank; i++) {
+            const double* row = rows + size_t(i) * stride;
+            wanted[i] = sides[i] - dot(row, x_, c);
+            if (abs(parted_.row[i][i]) < tol_.WEAKEST * norm(row + c, r)) is_weak_ = true;
+        }
+        for (int k = 0; k < parted_.count; k++) {
+            const double unmet = parted_.sides[k] - dot(parted_.combinations + size_t(k) * stride, x_, c);
+            add(-unmet, parted_.shares + size_t(k) * padded(rank + parted_.count), wanted, rank);
+        }
+        for (int again = 0; again < 2; again++) {
+            clear(z, padded(r));
+            for (int i = 0; i < rank; i++) {
+                const double gap = wanted[i] - dot(rows + size_t(i) * stride + c, y, r);
+                z[i] = (gap - dot(parted_.row[i], z, i)) / parted_.row[i][i];
+            }
+            parted_.chain.apply_reversed(z);
+            for (int j = 0; j < r; j++) y[j] += z[j];
+        }
     }
 
     // Turns rows (t) and their sides so that the first ones are independent in the coordinates from `begin` to `end`, and the
@@ -256,16 +347,30 @@ class Face : public Factored {
         const int rank = row_pivoted_lq(row, ids, n, n, 0, r, s, chain, tol_.DEPENDENT, left, arena_);
         for (int i = 0; i < rank; i++)
             if (abs(row[i][i]) < tol_.WEAKEST) is_weak_ = true;
-        double* z = arena_.doubles(s);
+        double *z = arena_.doubles(s), *gap = arena_.doubles(n);
         for (int again = 0; again < 2; again++) {
             clear(z, s);
-            for (int i = 0; i < rank; i++) {
-                const double gap = gaps[ids[i]] - dot(normals + size_t(ids[i]) * stride, y, r);
-                z[i] = (gap - dot(row[i], z, i)) / row[i][i];
-            }
+            for (int i = 0; i < n; i++) gap[i] = gaps[ids[i]] - dot(normals + size_t(ids[i]) * stride, y, r);
+            if (rank < n) balance_gaps(row, gap, n, rank, z);
+            for (int i = 0; i < rank && rank == n; i++) z[i] = (gap[i] - dot(row[i], z, i)) / row[i][i];
             chain.apply_reversed(z);
             for (int j = 0; j < r; j++) y[j] += z[j];
         }
+    }
+
+    // z (rank) := what meets the gaps of n rows best, which may have no step in common.
+    void balance_gaps(double* const* row, const double* gap, int n, int rank, double* z) {
+        Scope scope(arena_);
+        const int s = padded(n);
+        double* columns = arena_.zeros(size_t(rank + 1) * s);
+        int* order = arena_.array<int>(rank);
+        for (int j = 0; j < rank; j++)
+            for (int i = j; i < n; i++) columns[size_t(j) * s + i] = row[i][j];
+        double* side = columns + size_t(rank) * s;
+        copy(gap, side, n);
+        column_qr(columns, s, rank + 1, rank, n, order, true, arena_);
+        Triangle{columns, s, rank}.solve(side);
+        for (int j = 0; j < rank; j++) z[order[j]] = side[j];
     }
 
     // ------------------------------------------------------------------------------------------------------ slacks and scale
@@ -354,7 +459,19 @@ class Face : public Factored {
     uint8_t* has_drift_ = nullptr;
 
   private:
+    // What `part` leaves to `meet_parted`.
+    struct Parted {
+        bool is_used = false;
+        Reflectors chain;
+        double** row = nullptr;            // the triangle of the rows that come first,
+        int count = 0;                     // and how many combinations of all there are,
+        double* shares = nullptr;          // of how much of each row,
+        double* combinations = nullptr;    // what they are,
+        double* sides = nullptr;           // and are to be
+    };
+
     Reflectors small_chain_;
+    Parted parted_;
     double* carried_ = nullptr;
     int* shares_ = nullptr;  // by level, and one more: how many rows it and the levels below meet
     uint8_t *is_carried_ = nullptr, *in_doubt_ = nullptr;

@@ -34,7 +34,8 @@ inline bool read_packed(Exchange& io, const Sizes& now, int stride, double large
         for (size_t i = 0; i < n; i++) next(to + i * stride, m);
     };
     const auto rows_of_any_length = [&](double* to, size_t n) {  // not zero
-        for (size_t i = 0; i < n; i++) sound &= std::any_of(from + i * m, from + (i + 1) * m, [](double x) { return x != 0.0; });
+        const auto counts = [](double x) { return x != 0.0; };
+        for (size_t i = 0; i < n; i++) sound &= std::any_of(from + i * m, from + (i + 1) * m, counts);
         rows(to, n);
     };
     rows(io.matrix.data(), now.level_rows);
