@@ -6,8 +6,10 @@ import pytest
 from digits import judged
 from trees import ball_chain, random_problem, random_tree, rotation
 
+from comparisons.bench import growth
 from prioritized_ik.errors import InputError
 from prioritized_ik.kinematic_tree import KinematicTree
+from prioritized_ik.models import Arm
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.certificate import certify
 from prioritized_ik.solvers.lexicographic import SolveOptions
@@ -21,6 +23,8 @@ from prioritized_ik.solvers.tree.factors import HELD
 from prioritized_ik.solvers.tree.interior import guessed
 from prioritized_ik.solvers.tree.posed import PosedOnTree
 from prioritized_ik.solvers.tree.step import PATH, tree_step
+from prioritized_ik.winding.controller import WindingController
+from prioritized_ik.winding.settings import WindingSettings
 
 ALONG_LINKS, BY_MATRICES = SolveOptions(kinematics="tree"), SolveOptions(kinematics="dense")
 
@@ -201,6 +205,33 @@ def test_a_cold_start_with_many_active_limits_takes_few_corrections(levels):
     assert step.status is StepStatus.SOLVED
     assert len(step.active_rows) > 100
     assert step.repairs < 30
+
+
+# ---- Limits that hold a level by little
+
+
+def _weighed_apart(seed: int, links: int) -> IKProblem:
+    """An arm in a random posture with the weights of Eq. 23, whose joints that move most may go half as far."""
+    settings = WindingSettings(
+        arm=Arm(links=links), link=links // 3, posture="random", seed=seed, solver="active-set", options=ALONG_LINKS
+    )
+    controller, q = WindingController(settings), settings.initial_posture()
+    return growth.tightened(controller.problem(q, controller.observe(q, np.zeros(links, dtype=bool))))
+
+
+@pytest.mark.parametrize(("seed", "links", "limited"), [(760153, 16, 8), (760260, 13, 8)])
+def test_limits_that_hold_a_level_by_little_are_told_by_letting_them_go(seed, links, limited, monkeypatch):
+    monkeypatch.setattr(growth, "LIMITED", limited)
+    problem, told = _weighed_apart(seed, links), []
+    asked = Search._told
+    monkeypatch.setattr(Search, "_told", lambda *given: told.append(asked(*given)) or told[-1])
+    step = _step(problem, ALONG_LINKS)
+    assert step.path == PATH
+    assert step.status is StepStatus.SOLVED
+    assert not told[-1].is_unclear
+    verdict = judged(problem, step.active_rows)
+    assert verdict.is_optimum, verdict
+    np.testing.assert_allclose(step.dtheta, verdict.u, atol=SAME * np.linalg.norm(verdict.u))
 
 
 # ---- The certificate

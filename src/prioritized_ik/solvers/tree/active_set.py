@@ -20,6 +20,8 @@ from prioritized_ik.validation import Array, length
 SHARE = 0.3  # [of the worst violation] what is broken by less is left for later
 FEW = 10  # sets that change in blocks, before an interior point is asked for, which takes as long as about so many
 LESS = 1e-1, 1e-2  # [of the level above] what levels weigh there, one after the other
+TOLD = 10.0  # [of what rounding may do to a step] by how much the optimum without a row breaks it where that tells
+ANOTHER = 2.0  # [of the step] an optimum without a row is another one altogether if it is longer than that
 MORE = 120  # sets after that which change by one row
 BLOCKS = 200  # sets that change in blocks where that was in vain
 SINGLES = 3  # [of joints and rows] sets after that which change by one row
@@ -114,6 +116,27 @@ class Search:
             proof = TreeProof(posed, factors, u, active, scale)
         return u, proof
 
+    def _told(self, u: Array, proof: TreeProof, active: ActiveSet) -> TreeProof:
+        """Return the proof once bounds and rows that may hold the step, or pull, were let go, each by itself.
+
+        Those that are broken then hold it; if any is not, or if that makes another step of it altogether, along directions
+        that levels hardly feel, the proof is as it was.
+        """
+        unclear, scale = _unclear(proof), proof.scale
+        least = scale * max(CERTIFIED, TOLD * max(level.rounding for level in proof.levels) / scale)
+        if unclear.count <= FEW and all(self._beyond(one, active, scale) > least for one in unclear.singly()):
+            self._factor(active)
+            return TreeProof(self.posed, self._factors, u, active, scale, unclear)
+        return proof
+
+    def _beyond(self, one: ActiveSet, active: ActiveSet, scale: float) -> float:
+        """Return how far the step that does not rest on `one` bound or row of those that are `active` is beyond it."""
+        posed, u = self.posed, self.face(active.without(one))
+        if u is None or length(u) > ANOTHER * scale:
+            return -np.inf
+        upper, lower = (u - posed.upper)[one.side > 0], (posed.lower - u)[one.side < 0]
+        return float(np.concatenate([upper, lower, -posed.slack(u)[one.held]]).max())
+
     def _sides(self, sides: Array, active: ActiveSet) -> Array:
         """Return right-hand sides `(k,)` without those of inequality rows that are not held, which may be infinite."""
         kept = sides.copy()
@@ -165,9 +188,14 @@ class Search:
             u, proof = self._proven(u, active, scale)
             last = proof.levels[-1]
             if not broken.count and not last.pulls:
-                return Found(u, proof, active, self._corrections) if proof.holds_with_margin else None
+                if proof.is_unclear:
+                    proof = self._told(u, proof, active)
+                if not proof.is_unclear:
+                    return Found(u, proof, active, self._corrections) if proof.holds_with_margin else None
             if last.pulls:
                 following = _without_pulling(proof, active)
+            elif not broken.count:
+                following = active.without(_unclear(proof))  # let go, they may stay where they are, to rounding
             else:
                 following = self._with_worst(u, active, broken, share)
             if following.key in visited:
@@ -271,6 +299,13 @@ class Search:
 def _without_pulling(proof: TreeProof, active: ActiveSet) -> ActiveSet:
     last = proof.levels[-1]
     return ActiveSet(np.where(last.wrong_bounds, 0, active.side).astype(np.int8), active.held & ~last.wrong_rows)
+
+
+def _unclear(proof: TreeProof) -> ActiveSet:
+    """Return what pulls but not clearly."""
+    bounds = np.logical_or.reduce([level.unclear_bounds for level in proof.levels])
+    rows = np.logical_or.reduce([level.unclear_rows for level in proof.levels])
+    return ActiveSet(np.where(bounds, proof.active.side, 0).astype(np.int8), rows)
 
 
 def _without_one(proof: TreeProof, active: ActiveSet, turn: int) -> ActiveSet | None:

@@ -41,6 +41,19 @@ class ActiveSet:
         """What tells it from others."""
         return self.side.tobytes() + self.held.tobytes()
 
+    def without(self, others: "ActiveSet") -> "ActiveSet":
+        """Return those that are not among the `others`."""
+        return ActiveSet(np.where(others.side != 0, 0, self.side).astype(np.int8), self.held & ~others.held)
+
+    def singly(self) -> "Iterator[ActiveSet]":
+        """Yield each by itself."""
+        nobody, nothing = np.zeros_like(self.side), np.zeros_like(self.held)
+        numbers = np.arange(len(self.side))
+        for j in np.flatnonzero(self.side):
+            yield ActiveSet(np.where(numbers == j, self.side, nobody), nothing)
+        for i in np.flatnonzero(self.held):
+            yield ActiveSet(nobody, np.arange(len(self.held)) == i)
+
     @property
     def count(self) -> int:
         """How many there are."""
@@ -56,6 +69,7 @@ class TreeLevelProof:
         bounds: multipliers of the active bounds `(m,)`.
         rows: those of the held inequality rows `(c,)`.
         wrong_bounds, wrong_rows: which of them pull, and so should not be active.
+        unclear_bounds, unclear_rows: which pull so little that it may be rounding, or hold a level above by so little.
     """
 
     gap: float
@@ -67,6 +81,8 @@ class TreeLevelProof:
     rows: Array
     wrong_bounds: NDArray[np.bool_]
     wrong_rows: NDArray[np.bool_]
+    unclear_bounds: NDArray[np.bool_]
+    unclear_rows: NDArray[np.bool_]
 
     @property
     def relative_gap(self) -> float:
@@ -78,29 +94,38 @@ class TreeLevelProof:
         """Whether an active bound or row holds the level the wrong way round."""
         return bool(self.wrong_bounds.any() or self.wrong_rows.any())
 
+    @property
+    def is_unclear(self) -> bool:
+        """Whether one may."""
+        return bool(self.unclear_bounds.any() or self.unclear_rows.any())
+
 
 class TreeProof:
     """The proofs of all levels at a step `u` `(m,)` that rests on `active`, by factors of that face.
 
+    Of those, `sure` ones are known to hold it: the optimum without one of them breaks it. It does so just if the first
+    multiplier that the bound or row has, level by level, is positive, however small.
+
     Attributes:
+        active: what the step rests on.
         scale: length that relative figures refer to.
         levels: one proof a level, the last level's last; they end with the first that pulls.
-        is_unclear: whether an active bound or row pulls by so little, or one does that a level above holds by so little,
-            that it hangs on what counts as rounding which rows the step rests on.
     """
 
-    def __init__(self, posed: PosedOnTree, factors: Factors, u: Array, active: ActiveSet, scale: float) -> None:
-        self._posed, self._factors, self._u, self._active, self.scale = posed, factors, u, active, scale
+    def __init__(
+        self, posed: PosedOnTree, factors: Factors, u: Array, active: ActiveSet, scale: float, sure: ActiveSet | None = None
+    ) -> None:
+        self._posed, self._factors, self._u, self.active, self.scale = posed, factors, u, active, scale
         m, c = len(u), len(active.held)
         self._frozen = posed.lower == posed.upper
         self._leak_of_bounds, self._leak_of_rows = np.full(m, np.inf), np.full(c, np.inf)
         self._faint_bounds, self._faint_rows = np.zeros(m, dtype=bool), np.zeros(c, dtype=bool)
-        self.is_unclear = False
         self._slack = posed.slack(u)
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
         self._missing = posed.missing(u)
         self._off = np.zeros(m)  # how far the step is off what levels so far would have, as their gradients show
         self._is_held = active.count > 0
+        self._sure = (np.zeros(m, dtype=bool), np.zeros(c, dtype=bool)) if sure is None else (sure.side != 0, sure.held)
         self._nothing, self._nobody = (np.zeros(m), np.zeros(c)), (np.zeros(m, dtype=bool), np.zeros(c, dtype=bool))
         self.levels = list(self._prove())
 
@@ -113,7 +138,7 @@ class TreeProof:
                 return
 
     def _level(self, number: int, *, is_last: bool) -> TreeLevelProof:
-        posed, factors, u, active = self._posed, self._factors, self._u, self._active
+        posed, factors, u, active = self._posed, self._factors, self._u, self.active
         if is_last:
             given = u - posed.reference
             demand = length(u) + length(posed.reference)
@@ -134,18 +159,19 @@ class TreeProof:
             excess += unfelt / (UNFELT * steepest) ** 2
         gap, loosened = found.lower + 2.0 * unfelt * self.scale, 0.0
         bounds, rows = self._nothing
-        wrong_bounds, wrong_rows = self._nobody
+        wrong_bounds, wrong_rows = unclear_bounds, unclear_rows = self._nobody
         if self._is_held:
             bounds = np.where((active.side == 0) | self._frozen, 0.0, -found.rest * active.side)
             rows = np.where(active.held, found.pulls[posed.parts[0]], 0.0)
             gap += self._slackness(bounds, rows)
             faint = NEARLY * self._faintness(number, found.pulls, given)
             faint_of_rows = faint / posed.lengths[posed.parts[0]]
-            wrong_bounds, first_bounds, unclear = _told(
-                bounds, found.of_bounds, faint, self._leak_of_bounds, self._faint_bounds
+            wrong_bounds, first_bounds, unclear_bounds = _told(
+                bounds, found.of_bounds, np.where(self._sure[0], 0.0, faint), self._leak_of_bounds, self._faint_bounds
             )
-            wrong_rows, first_rows, also = _told(rows, found.of_rows, faint_of_rows, self._leak_of_rows, self._faint_rows)
-            self.is_unclear = self.is_unclear or unclear or also
+            wrong_rows, first_rows, unclear_rows = _told(
+                rows, found.of_rows, np.where(self._sure[1], 0.0, faint_of_rows), self._leak_of_rows, self._faint_rows
+            )
             self._leak_of_bounds[first_bounds] = gap / bounds[first_bounds]
             self._leak_of_rows[first_rows] = gap / rows[first_rows]
             loosened = float(np.abs(self._slack[first_rows]).sum())
@@ -154,7 +180,8 @@ class TreeProof:
         carried = 2.0 * (strength * cost + pulled) * above + (strength * above) ** 2
         self._above = max(self._above, found.feigned, loosened)
         rounding = max(found.feigned, loosened)
-        return TreeLevelProof(gap, demand, excess, rounding, carried, bounds, rows, wrong_bounds, wrong_rows)
+        told = wrong_bounds, wrong_rows, unclear_bounds, unclear_rows
+        return TreeLevelProof(gap, demand, excess, rounding, carried, bounds, rows, *told)
 
     def _faintness(self, number: int, pulls: Array, given: Array) -> float:
         """Return the largest multiplier, of a row of unit length, that directions can give that no row feels.
@@ -179,7 +206,7 @@ class TreeProof:
     def _slackness(self, bounds: Array, rows: Array) -> float:
         """Return 2 Σ |λ| slack; of rows that a level above holds, times how far they can move."""
         room = np.abs(self._slack)
-        room[~self._active.held | (room <= ROUNDING * self.scale)] = 0.0  # a row is tight to rounding
+        room[~self.active.held | (room <= ROUNDING * self.scale)] = 0.0  # a row is tight to rounding
         slack = room * self._posed.lengths[self._posed.parts[0]]
         leak_of_rows = np.minimum(self._leak_of_rows, FAR)
         back_rows, back_bounds = (rows < 0.0) & (leak_of_rows < FAR), (bounds < 0.0) & np.isfinite(self._leak_of_bounds)
@@ -207,11 +234,19 @@ class TreeProof:
         )
 
     def _row_names(self, level: TreeLevelProof) -> tuple[str, ...]:
-        problem, side = self._posed.problem, self._active.side
+        problem, side = self._posed.problem, self.active.side
         joints = problem.bounds.names
         holding = np.flatnonzero(level.bounds > 0.0)
         bounds = [f"{joints[j]} {'upper' if side[j] > 0 else 'lower'}" for j in holding]
         return (*bounds, *(problem.rows.names[i] for i in np.flatnonzero(level.rows > 0.0)))
+
+    @property
+    def is_unclear(self) -> bool:
+        """Whether it hangs on what counts as rounding which rows the step rests on.
+
+        An active bound or row pulls by so little, or pulls and holds a level above by so little.
+        """
+        return any(level.is_unclear for level in self.levels)
 
     @property
     def holds_with_margin(self) -> bool:
@@ -234,8 +269,8 @@ class TreeProof:
 
 def _told(
     multipliers: Array, uncertain: Array | float, faint: Array | float, leak: Array, is_faint: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_], bool]:
-    """Return which rows pull, which hold the level as the first above, and whether some pull but not clearly.
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which rows pull, which hold the level as the first above, and which pull but not clearly.
 
     Args:
         multipliers: of active rows `(n,)`.
@@ -249,4 +284,4 @@ def _told(
     wrong = pulls & (multipliers < -faint) & ~is_faint
     first = free & (multipliers > uncertain) & (multipliers > faint)
     is_faint |= free & ~first & (multipliers > PULLS * uncertain)
-    return wrong, first, bool((pulls & ~wrong).any())
+    return wrong, first, pulls & ~wrong
