@@ -77,16 +77,20 @@ EXPORTED void core_arrays(Step* step, void** at) {
     *at++ = io.packed.data();
 }
 
+// Says how much there is of everything in the problems that come next.
+EXPORTED void core_size(Step* step, int levels, int level_rows, int rows, int equalities) {
+    step->size(Sizes{step->most.joints, levels, level_rows, rows, equalities});
+}
+
 // Reads a problem from the one array `packed`; whether its numbers are beyond doubt.
-EXPORTED int core_read(Step* step, int levels, int level_rows, int rows, int equalities, double largest) {
-    return prioritized_ik::read_packed(step->io, Sizes{step->most.joints, levels, level_rows, rows, equalities}, step->stride, largest);
+EXPORTED int core_read(Step* step, double largest) {
+    return prioritized_ik::read_packed(step->io, step->now(), step->stride, largest);
 }
 
 // An `Ending`, and above its eight bits how much of the lists is written; -1 if memory runs out.
-EXPORTED int core_solve(Step* step, int levels, int level_rows, int rows, int equalities, int question) {
+EXPORTED int core_solve(Step* step, int question) {
     try {
-        const Sizes now{step->most.joints, levels, level_rows, rows, equalities};
-        const int ending = step->solve(now, prioritized_ik::Question(question));
+        const int ending = step->solve(prioritized_ik::Question(question));
         return ending | step->io.used << 8;
     } catch (const std::bad_alloc&) {
         return -1;

@@ -119,8 +119,9 @@ def _loaded(path: Path, expected: str) -> tuple[ctypes.CDLL | None, str]:
     core.core_stride.argtypes = [ctypes.c_void_p]
     core.core_arrays.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
     core.core_arrays.restype = None
-    core.core_read.argtypes = [ctypes.c_void_p] + [ctypes.c_int] * 4 + [ctypes.c_double]
-    core.core_solve.argtypes = [ctypes.c_void_p] + [ctypes.c_int] * 5
+    core.core_size.argtypes, core.core_size.restype = [ctypes.c_void_p] + [ctypes.c_int] * 4, None
+    core.core_read.argtypes = [ctypes.c_void_p, ctypes.c_double]
+    core.core_solve.argtypes = [ctypes.c_void_p, ctypes.c_int]
     for look in (core.core_scene_observe, core.core_scene_pose):
         look.argtypes = [ctypes.c_void_p]
     core.core_pose.argtypes, core.core_pose.restype = [ctypes.c_void_p], None

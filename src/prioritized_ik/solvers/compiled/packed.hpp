@@ -5,10 +5,16 @@
 
 namespace prioritized_ik {
 
+// Not of those that are not numbers.
 inline bool all_within(const double* a, size_t n, double largest) {
-    bool within = true;
-    for (size_t i = 0; i < n; i++) within &= abs(a[i]) <= largest;
-    return within;
+    const Wide high = wide_of(largest), low = wide_of(-largest);
+    auto within = low <= high;
+    size_t i = 0;
+    for (; i + WIDE <= n; i += WIDE) within &= (wide(a + i) >= low) & (wide(a + i) <= high);
+    bool all = true;
+    for (int k = 0; k < WIDE; k++) all &= within[k] != 0;
+    for (; i < n; i++) all &= abs(a[i]) <= largest;
+    return all;
 }
 
 // Copies the numbers of a problem to where the solve reads them; what does not change (kinds and ends of levels, damping,

@@ -31,6 +31,8 @@ class Posed {
   public:
     const int stride;
     const Sizes most;
+    const Sizes& now() const { return now_; }
+    void size(const Sizes& now) { now_ = now; }
     Exchange io;
 
     Posed(const Sizes& sizes, const Tolerances& tolerances)

@@ -13,10 +13,9 @@ class Step : public ActiveSet {
   public:
     using ActiveSet::ActiveSet;
 
-    int solve(const Sizes& now, Question question) {
+    int solve(Question question) {
         for (;;) {
             try {
-                now_ = now;
                 is_written_ = is_open_ = false;
                 const int outcome = answer(question);
                 if (outcome != BINDING && !is_written_) return UNPROVEN;  // no step without its proof

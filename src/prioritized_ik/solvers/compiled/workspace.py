@@ -69,7 +69,7 @@ class Workspace:
     def __init__(self, room: Sizes) -> None:
         core = library().core
         assert core is not None
-        self.room, self._solve, self._read = room, core.core_solve, core.core_read
+        self.room, self._solve, self._read, self._size = room, core.core_solve, core.core_read, core.core_size
         m, k, r, e = room.joints, room.level_rows, room.rows, room.equalities
         values = tolerances_of(core)
         address = core.core_new(m, room.levels, k, r, e, values.ctypes.data)
@@ -103,6 +103,7 @@ class Workspace:
         self.names: tuple[str, ...] = ()  # of upper bounds, lower bounds, rows and soft levels' rows, as lists number them
         self.numbers: dict[str, int] = {}
         self._metric: Array | None = None
+        self._sizes: Sizes | None = None  # that the core was told last
         self._layout: Layout | None = None  # of the problem that was filled in, if it is packed,
         self._held: Array | None = None  # and the numbers that were read last
 
@@ -148,7 +149,8 @@ class Workspace:
         """Take the numbers of a problem whose pattern was filled in; whether they are beyond doubt, see packed.hpp."""
         self.packed[: len(numbers)] = numbers
         self._held = numbers
-        return bool(self._read(self._address, sizes.levels, sizes.level_rows, sizes.rows, sizes.equalities, LARGEST))
+        self._tell(sizes)
+        return bool(self._read(self._address, LARGEST))
 
     def guess_rows(self, guess: bytes | bytearray) -> None:
         """Write which rows a step may rest on, a byte for each of `names`."""
@@ -172,10 +174,17 @@ class Workspace:
 
     def solve(self, sizes: Sizes, question: Question) -> tuple[int, int]:
         """Return the `Ending` of the problem that was written, and how much of `lists` is."""
-        told: int = self._solve(self._address, sizes.levels, sizes.level_rows, sizes.rows, sizes.equalities, question)
+        self._tell(sizes)
+        told: int = self._solve(self._address, question)
         if told < 0:
             raise MemoryError("no memory for the compiled core")
         return told & 0xFF, told >> 8
+
+    def _tell(self, sizes: Sizes) -> None:
+        """Tell the core the sizes of what comes next, unless it knows."""
+        if sizes is not self._sizes:
+            self._sizes = sizes
+            self._size(self._address, sizes.levels, sizes.level_rows, sizes.rows, sizes.equalities)
 
 
 @lru_cache(maxsize=64)  # in a loop links come near and go away again
