@@ -30,7 +30,8 @@ class Step : public ActiveSet {
     }
 
   private:
-    static constexpr int PATIENCE = 2;  // with a guess: it may take this part of the sets that its rows take from nothing
+    // With a guess: how many sets it may take, and the part of those that its rows take from nothing.
+    static constexpr int LEAST = 2, PATIENCE = 2;
 
     int answer(Question question) {
         arena_.back_to(0);
@@ -83,7 +84,7 @@ class Step : public ActiveSet {
         if (guessed) {
             if (!is_begun) start_from_guess();
             if (exceeds()) refactor();
-            if (search(1 + guessed_ / PATIENCE)) return SOLVED;
+            if (search(LEAST + guessed_ / PATIENCE)) return SOLVED;
             std::memset(exceeded_, 0, all_);
             if (soft_) refactor();
         }
