@@ -17,8 +17,15 @@ class ActiveSet : public Written {
     }
 
     uint64_t digest() const {
+        constexpr int BYTES = 8;
         uint64_t hash = 1469598103934665603ull;
-        for (int i = 0; i < all_; i++) hash = (hash ^ (active_[i] + 2 * exceeded_[i])) * 1099511628211ull;
+        for (int i = 0; i < all_; i += BYTES) {
+            uint64_t active = 0, exceeded = 0;
+            std::memcpy(&active, active_ + i, min(BYTES, all_ - i));
+            std::memcpy(&exceeded, exceeded_ + i, min(BYTES, all_ - i));
+            hash = (hash ^ (active + 2 * exceeded)) * 1099511628211ull;
+            hash ^= hash >> 29;
+        }
         return hash;
     }
     bool is_visited() const { return std::find(visited_.begin(), visited_.end(), digest()) != visited_.end(); }
@@ -86,26 +93,23 @@ class ActiveSet : public Written {
     bool advance() {
         double first = INFINITE;
         const double kept = tol_.KEPT * scale_;
+        blocking_.clear();
         for (int i = 0; i < all_; i++)
-            if (blocks(i, kept)) {
-                const double rate = slack_[i] - reach_[i];
-                first = min(first, rate > 0.0 ? max(slack_[i], 0.0) / rate : 0.0);
+            if (reach_[i] < -kept && is_looked_at(i) && !active_[i] && !exceeded_[i]) {
+                const double rate = slack_[i] - reach_[i], part = rate > 0.0 ? max(slack_[i], 0.0) / rate : 0.0;
+                blocking_.push_back({part, i});
+                first = min(first, part);
             }
-        if (first == INFINITE) {
+        if (blocking_.empty()) {
             copy(reach_, slack_, all_);
             return false;
         }
-        for (int i = 0; i < all_; i++) {
-            if (blocks(i, kept)) {
-                const double rate = slack_[i] - reach_[i];
-                if ((rate > 0.0 ? max(slack_[i], 0.0) / rate : 0.0) <= first) active_[i] = 1;
-            }
-            if (side_[i] < INFINITE) slack_[i] += first * (reach_[i] - slack_[i]);
-        }
+        for (const auto& [part, i] : blocking_)
+            if (part <= first) active_[i] = 1;
+        for (int i = 0; i < all_; i++) slack_[i] = side_[i] < INFINITE ? slack_[i] + first * (reach_[i] - slack_[i]) : slack_[i];
         return true;
     }
 
-    bool blocks(int i, double kept) const { return is_looked_at(i) && !active_[i] && !exceeded_[i] && reach_[i] < -kept; }
     bool is_looked_at(int i) const { return level_of_[i] < looked_at_; }
 
     bool is_exceeded(int i) const { return i >= hard_ && is_looked_at(i) && reach_[i] < -tol_.CERTIFIED * scale_; }
@@ -234,6 +238,7 @@ class ActiveSet : public Written {
     }
 
     std::vector<uint64_t> visited_;
+    std::vector<std::pair<double, int>> blocking_;  // rows on the way, and how far that is
     bool is_stuck_ = false;  // no set is left to go on with
     size_t fewest_ = 0;      // of the rows that pull, over the search
     double* unmended_ = nullptr;       // a step before it is mended,

@@ -97,6 +97,17 @@ inline void add_rows(const double* factors, const double* rows, int stride, int 
     for (; j < k; j++) add(factors[j], rows + size_t(j) * stride, to, n);
 }
 
+// The least of n, infinite of none.
+inline double least(const double* a, int n) {
+    Wide low = wide_of(INFINITE);
+    int i = 0;
+    for (; i + WIDE <= n; i += WIDE) low = wide(a + i) < low ? wide(a + i) : low;
+    double found = low[0];
+    for (int k = 1; k < WIDE; k++) found = min(found, low[k]);
+    for (; i < n; i++) found = min(found, a[i]);
+    return found;
+}
+
 // to[i] += a[i]^2
 inline void add_squares(const double* a, double* to, int n) {
     for (int i = 0; i < n; i++) to[i] += a[i] * a[i];

@@ -398,10 +398,8 @@ class Face : public Factored {
     // Slacks at u_, the worst of them, and what figures of u_ are relative to, see Hierarchy.scale.
     void measure() {
         slacks(u_, reach_);
-        worst_hard_ = INFINITE;
-        for (int i = 0; i < hard_; i++) worst_hard_ = min(worst_hard_, reach_[i]);
-        worst_ = worst_hard_;
-        for (int i = hard_; i < all_; i++) worst_ = min(worst_, reach_[i]);
+        worst_hard_ = least(reach_, hard_);
+        worst_ = min(worst_hard_, least(reach_ + hard_, all_ - hard_));
         size_ = norm(u_, m_);
         scale_ = size_;
         const double least = max(broken_, asked());
