@@ -274,7 +274,7 @@ class Posing:
         if core is None or functions is None:
             return None
         table = (_Rows * len(self._rows))(*(_row(rows) for rows in self._rows))
-        scratch = np.zeros((3, self._model.nv))
+        scratch = np.zeros((6, self._model.nv))
         asked = _Asked(
             count=len(self._rows),
             joints=self._model.nv,

@@ -65,6 +65,21 @@ def test_rows_are_those_of_the_tasks(by_python: bool) -> None:
         assert np.abs(target[3 * i : 3 * i + 3] - task.gain * error).max() <= 10 * SAME
 
 
+@needs_core
+def test_centres_of_mass_of_several_parts_are_told_apart() -> None:
+    robot = example("humanoid")
+    posing, nv, written = Posing(robot.model, robot.data), robot.model.nv, []
+    for body in (0, 2, 2, 0, 5):
+        written.append(np.zeros((3, nv)))
+        posing.centre_of_mass(body, None, written[-1], np.zeros(3))
+    for q in (robot.q, robot.q + 0.1 * (np.arange(robot.model.nq) >= 7)):
+        robot.update(q)
+        posing()
+        by_core = [matrix.copy() for matrix in written]
+        posing.by_python()
+        assert [matrix.tobytes() for matrix in by_core] == [matrix.tobytes() for matrix in written]
+
+
 def test_what_is_wanted_is_looked_at_anew() -> None:
     robot = example("arm")
     posing, matrix, target = Posing(robot.model, robot.data), np.zeros((3, 7)), np.zeros(3)

@@ -48,8 +48,8 @@ IN_BOTH = {
     "mass of the whole model": (
         "mujoco.mj_jacSubtreeCom(model, data, jacobian, self.body)",
         "mujoco.mj_jacSubtreeCom(model, data, jacobian, 0)",
-        "p.jac_mass(p.model, p.data, jacobian, rows.body)",
-        "p.jac_mass(p.model, p.data, jacobian, 0)",
+        "mass(rows.body, jacobian)",
+        "mass(0, jacobian)",
     ),
     "sign of the way": (
         "is_turn else self.wanted - self.here",

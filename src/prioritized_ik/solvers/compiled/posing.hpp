@@ -27,16 +27,16 @@ struct Posing {
     void (*to_quaternion)(double*, const double*);
     void (*to_vector)(double*, const double*, double);
     const PosedRows* rows;
-    double* scratch;  // (3, joints)
+    double* scratch;  // (6, joints)
 };
 
 enum PosedKind : int32_t { POINT, TURN, MASS, JOINTS, BOUNDS };  // of posing.py
 
 class Poser {
   public:
-    explicit Poser(const Posing& posing) : p(posing), m(posing.joints) {}
+    explicit Poser(const Posing& posing) : p(posing), m(posing.joints), of_mass(p.scratch + 3 * m) {}
 
-    void write() const {
+    void write() {
         for (int i = 0; i < p.count; i++) {
             const PosedRows& rows = p.rows[i];
             if (rows.kind == BOUNDS) bound(rows);
@@ -47,12 +47,12 @@ class Poser {
     }
 
   private:
-    void frame(const PosedRows& rows) const {
+    void frame(const PosedRows& rows) {
         double* jacobian = rows.across ? p.scratch : rows.matrix;
         const double origin[3] = {0.0, 0.0, 0.0};
         if (rows.kind == POINT) p.jac(p.model, p.data, jacobian, nullptr, rows.here, rows.body);
         else if (rows.kind == TURN) p.jac(p.model, p.data, nullptr, jacobian, origin, rows.body);
-        else p.jac_mass(p.model, p.data, jacobian, rows.body);
+        else mass(rows.body, jacobian);
         double error[3] = {0.0, 0.0, 0.0};
         if (rows.wanted) {
             if (rows.kind == TURN) turn(rows, error);
@@ -73,6 +73,12 @@ class Poser {
             for (int j = 0; j < m; j++) to[j] = side[0] * jacobian[j] + side[1] * jacobian[m + j] + side[2] * jacobian[2 * m + j];
             set(rows, i, side[0] * error[0] + side[1] * error[1] + side[2] * error[2]);
         }
+    }
+
+    // The Jacobian of a centre of mass, asked for once: MuJoCo goes through all bodies.
+    void mass(int body, double* jacobian) {
+        if (body != mass_body) p.jac_mass(p.model, p.data, of_mass, mass_body = body);
+        copy(of_mass, jacobian, size_t(3) * m);
     }
 
     void set(const PosedRows& rows, int i, double error) const {
@@ -104,6 +110,8 @@ class Poser {
 
     const Posing& p;
     const int m;
+    double* const of_mass;  // (3, joints), of the body whose number follows
+    int mass_body = -1;
 };
 
 }  // namespace prioritized_ik
