@@ -88,7 +88,7 @@ class PackedProblem(IKProblem):
     numbers: Array
 
     def __init__(self, layout: Layout, numbers: Array) -> None:
-        numbers.flags.writeable = False
+        numbers.setflags(write=False)
         self.__dict__.update(layout=layout, numbers=numbers)
 
     @property
