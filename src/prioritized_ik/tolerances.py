@@ -207,3 +207,7 @@ EMPTY = 1e-14
 
 #: [of the row] What a row moves of what the rows before it leave, up to this, is zero, as in `NOISE`.
 TREE_ZERO = NOISE
+
+#: [of the row] The same where a step is not found so: nearly straight arms move single rows by some `NOISE` where no
+#: combination of rows moves that far. Ranks are looked at anew then: all that is cut is below `NOISE`, or nothing is found.
+NEAR_ZERO = 1e-10

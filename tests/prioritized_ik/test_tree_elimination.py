@@ -13,6 +13,7 @@ from prioritized_ik.solvers.tree.certificate import ActiveSet
 from prioritized_ik.solvers.tree.elimination import Elimination
 from prioritized_ik.solvers.tree.factors import Ending
 from prioritized_ik.solvers.tree.posed import PosedOnTree
+from prioritized_ik.tolerances import NEAR_ZERO
 from prioritized_ik.tree_problem import TreeLevel, TreeRows
 
 EXACT = 1e-9  # [of the step] what both forms may differ by; random arms have singular values down to 1e-5 of the largest
@@ -78,6 +79,33 @@ def test_the_core_moves_points_as_the_tree_does(seed):
     np.testing.assert_allclose(motions, points.times(u), atol=1e-14)
     np.testing.assert_allclose(sizes, points.sizes_of_terms(u), rtol=1e-12)
     assert motions[0] == sizes[0] == 0.0
+
+
+@pytest.mark.parametrize("form", [Elimination, pytest.param(CompiledElimination, marks=compiled)])
+@pytest.mark.parametrize("seed", range(6))
+def test_what_levels_leave_of_a_step_moves_none_of_their_rows(form, seed):
+    rng = np.random.default_rng(seed)
+    posed = PosedOnTree(_random(seed))
+    m, held = posed.tree.joint_count, np.ones(len(posed.level), dtype=bool)
+    fixed, step = rng.random(m) < 0.2, rng.normal(size=m)
+    elimination = form(posed.on_joints)
+    elimination.factor(fixed, held)
+    free = np.eye(m)[:, ~fixed]
+    for level in range(posed.on_joints.last):
+        # The oracle: singular vectors of all rows so far.
+        _, values, directions = np.linalg.svd(posed.rows.matrix[posed.level <= level] @ free)
+        left = free @ directions[np.count_nonzero(values > 1e-10 * values.max(initial=0.0)) :].T
+        np.testing.assert_allclose(elimination.left_by(level, step), left @ (left.T @ step), atol=EXACT)
+
+
+@pytest.mark.parametrize(("apart", "ranks"), [(1e-13, [0, 1]), (5e-11, None)])
+def test_what_counts_as_zero_only_nearly_is_cut_where_rows_together_say_that_it_is(apart, ranks):
+    rng = np.random.default_rng(0)
+    tree, point, way = random_tree(rng, 6), rng.normal(size=3), unit(rng)
+    points = PointRows(tree, np.full(2, 5), np.array([point, point + apart * unit(rng)]), np.array([way, way]))
+    problem = IKProblem([TreeLevel(points, np.zeros(2))])
+    assert Search(PosedOnTree(problem)).ranks == [0, 1 if ranks else 2]
+    assert Search(PosedOnTree(problem, NEAR_ZERO)).ranks == ranks
 
 
 @pytest.mark.parametrize("form", [Elimination, pytest.param(CompiledElimination, marks=compiled)])

@@ -8,7 +8,7 @@ from trees import ball_chain, random_problem, random_tree, rotation
 
 from comparisons.bench import growth
 from prioritized_ik.errors import InputError
-from prioritized_ik.kinematic_tree import KinematicTree
+from prioritized_ik.kinematic_tree import KinematicTree, PointRows
 from prioritized_ik.models import Arm
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.certificate import certify
@@ -23,6 +23,8 @@ from prioritized_ik.solvers.tree.factors import HELD
 from prioritized_ik.solvers.tree.interior import guessed
 from prioritized_ik.solvers.tree.posed import PosedOnTree
 from prioritized_ik.solvers.tree.step import PATH, tree_step
+from prioritized_ik.tolerances import NEAR_ZERO, TREE_ZERO
+from prioritized_ik.tree_problem import TreeLevel
 from prioritized_ik.winding.controller import WindingController
 from prioritized_ik.winding.settings import WindingSettings
 
@@ -205,6 +207,31 @@ def test_a_cold_start_with_many_active_limits_takes_few_corrections(levels):
     assert step.status is StepStatus.SOLVED
     assert len(step.active_rows) > 100
     assert step.repairs < 30
+
+
+# ---- Arms that are kinked and otherwise nearly straight
+
+
+def _kinked(seed: int, links: int = 30) -> IKProblem:
+    """Two levels of an arm's points: some of them, and all others."""
+    rng = np.random.default_rng(seed)
+    bend = 10.0 ** rng.uniform(-12, -2) if seed % 2 else 0.0
+    tree = ball_chain(rng, links, bend=bend, kinks=int(rng.integers(1, 5)), turned=True)
+    ends = np.arange(2, 3 * links - 3, 3)
+    points = PointRows.along_axes(tree, ends, tree.anchors[ends + 1], np.eye(3))
+    first = np.isin(np.arange(len(ends)), rng.choice(len(ends), size=int(rng.integers(1, 5)), replace=False)).repeat(3)
+    return IKProblem([TreeLevel(points[some], rng.normal(scale=0.01, size=some.sum())) for some in (first, ~first)])
+
+
+@pytest.mark.parametrize("seed", [760003, 760107, 760251])
+def test_ranks_that_single_rows_overstate_are_looked_at_anew(seed):
+    problem = _kinked(seed)
+    overstated, ranks = (Search(PosedOnTree(problem, zero)).ranks for zero in (TREE_ZERO, NEAR_ZERO))
+    step, dense = _step(problem, ALONG_LINKS), _step(problem, BY_MATRICES)
+    assert overstated[2] > ranks[2] == dense.levels[1].rank
+    assert step.path == PATH
+    assert step.status is dense.status
+    np.testing.assert_allclose(step.dtheta, dense.dtheta, atol=SAME * np.linalg.norm(dense.dtheta))
 
 
 # ---- Limits that hold a level by little

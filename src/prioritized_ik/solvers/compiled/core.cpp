@@ -162,14 +162,15 @@ EXPORTED int core_tree_solve(prioritized_ik::TreeElimination* tree, const double
     }
 }
 
-enum TreeQuestion { PARTS, WHITENED, PULLS, DISPLACEMENT };  // of compiled/tree.py
+enum TreeQuestion { PARTS, WHITENED, PULLS, DISPLACEMENT, LEFT_BY };  // of compiled/tree.py
 
 EXPORTED int core_tree_ask(prioritized_ik::TreeElimination* tree, int question, int level, const double* given, double* out) {
     try {
         if (question == PARTS) tree->parts(given, out);
         else if (question == WHITENED) tree->whitened(level, given, out);
         else if (question == PULLS) tree->pulls(level, given, out);
-        else tree->displacement(level, given, out);
+        else if (question == DISPLACEMENT) tree->displacement(level, given, out);
+        else tree->left_by(level, given, out);
         return 0;
     } catch (const std::bad_alloc&) {
         return -1;

@@ -96,6 +96,23 @@ class TreeElimination {
         return out;
     }
 
+    // u (m) := what of a step v (m) the levels up to one leave
+    void left_by(int number, const double* v, double* u) {
+        const int m = in_.joints;
+        clear(u, m);
+        inputs_of(v);
+        int last = -1;
+        for (int used : used_) {
+            if (used > number) break;
+            Level& level = levels_[last = used];
+            parts_.resize(inputs_ + 1), f_.resize(level.inputs - level.rank);
+            level.split(z_.data(), parts_.data(), f_.data());
+            z_.swap(f_);
+        }
+        parts_.assign(z_.begin(), z_.end());  // join works in z_
+        join(last, nullptr, parts_.data(), u);
+    }
+
     void whitened(int number, const double* part, double* out) {
         if (levels_[number].rank) levels_[number].whiten(part, out);
     }

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.solvers.tree.factors import Balance, Ending, Factors, TreeRowsOnJoints
-from prioritized_ik.tolerances import NOISE, ROUNDING, TREE_ZERO
+from prioritized_ik.tolerances import NOISE, ROUNDING
 from prioritized_ik.validation import Array
 
-PARTS, WHITENED, PULLS, DISPLACEMENT = range(4)  # `TreeQuestion` in core.cpp
+PARTS, WHITENED, PULLS, DISPLACEMENT, LEFT_BY = range(5)  # `TreeQuestion` in core.cpp
 
 
 class TreeInput(ctypes.Structure):
@@ -86,7 +86,7 @@ class CompiledElimination(Factors):
         }
         addresses = {name: array.ctypes.data for name, array in self._kept.items()}
         sizes = {"joints": m, "rows": k, "levels": rows.levels}
-        self._input = TreeInput(**sizes, zero=TREE_ZERO, rounding=ROUNDING, noise=NOISE, **addresses)
+        self._input = TreeInput(**sizes, zero=rows.zero, rounding=ROUNDING, noise=NOISE, **addresses)
         _checked(core.core_tree_pose(self._address, ctypes.byref(self._input)))
 
     def factor(self, fixed: NDArray[np.bool_], held: NDArray[np.bool_]) -> Ending:
@@ -139,6 +139,10 @@ class CompiledElimination(Factors):
     def displacement(self, level: int, whitened: Array) -> Array:
         """See `Elimination.displacement`."""
         return self._asked(DISPLACEMENT, level, whitened, len(self.fixed))
+
+    def left_by(self, level: int, step: Array) -> Array:
+        """See `Factors.left_by`."""
+        return self._asked(LEFT_BY, level, step, len(self.fixed))
 
     def balance(self, level: int, given: Array, sizes: Array, rounded: float, off: Array, *, is_held: bool) -> Balance:
         """See `Factors.balance`, which this does in one go."""

@@ -9,17 +9,19 @@ starts again from zero.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
-from prioritized_ik.solvers.tree.factors import Ending
+from prioritized_ik.solvers.tree.factors import HELD, Ending
 from prioritized_ik.solvers.tree.interior import guessed
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.tolerances import CERTIFIED, CUT_MARGIN, FLOOR, FREE, KEPT, REFINEMENTS
+from prioritized_ik.tolerances import CERTIFIED, CUT_MARGIN, FLOOR, FREE, KEPT, NOISE, REFINEMENTS, ROUNDING
 from prioritized_ik.validation import Array, length
 
 SHARE = 0.3  # [of the worst violation] what is broken by less is left for later
 FEW = 10  # sets that change in blocks, before an interior point is asked for, which takes as long as about so many
 LESS = 1e-1, 1e-2  # [of the level above] what levels weigh there, one after the other
+STARTED = 4  # steps of the power method where one singular value at most is more than rounding
 TOLD = 10.0  # [of what rounding may do to a step] by how much the optimum without a row breaks it where that tells
 ANOTHER = 2.0  # [of the step] an optimum without a row is another one altogether if it is longer than that
 MORE = 120  # sets after that which change by one row
@@ -147,8 +149,43 @@ class Search:
         if self._factored is None or self._factored[0] != active.key:
             held = np.zeros(len(self.posed.level), dtype=bool)
             held[self.posed.parts[0]] = active.held
-            self._factored = active.key, self._factors.factor(active.side != 0, held) is Ending.CLEAR
+            is_clear = self._factors.factor(active.side != 0, held) is Ending.CLEAR
+            self._factored = active.key, is_clear and (self.posed.zero <= NOISE or self._feels_what_it_decides(held))
         return self._factored[1]
+
+    def _feels_what_it_decides(self, held: NDArray[np.bool_]) -> bool:
+        """Whether what levels feel of directions that they do not decide is rounding."""
+        real = (self.posed.roots > 0.0) & (self.posed.lengths > ROUNDING * self.posed.lengths.max())
+        for level in range(len(self.posed.parts)):
+            rows = (self.posed.level == level) & real & ((level != HELD) | held)
+            if rows.any() and not self._is_rounding(level, rows):
+                return False
+        return True
+
+    def _is_rounding(self, level: int, rows: NDArray[np.bool_]) -> bool:
+        """Whether no combination of a level's rows, at unit length, is more than rounding where the level decides nothing.
+
+        What it does decide may make up for what a direction is felt; the power method finds the largest of what is left.
+        """
+        posed, factors, largest = self.posed, self._factors, 0.0
+        sizes = np.where(rows, 1.0 / np.where(rows, posed.lengths, 1.0), 0.0)
+        squares = np.where(rows, posed.roots, 0.0) ** 2
+        u = factors.left_by(level, np.random.default_rng(0).standard_normal(posed.tree.joint_count))
+        for _ in range(STARTED):
+            if (size := length(u)) == 0.0:
+                break
+            u = u / size
+            gradient = posed.rows.transposed_times(squares * factors.motions(u)[0])
+            best = u - factors.displacement(level, factors.whitened(level, factors.parts(gradient)[level]))
+            felt = sizes * factors.motions(best)[0]
+            largest = max(largest, length(felt))
+            u = factors.left_by(level, posed.rows.transposed_times(sizes * felt))
+        return largest <= NOISE
+
+    @property
+    def ranks(self) -> list[int] | None:
+        """Ranks of the levels where only frozen joints are active; None if they are not clear."""
+        return list(self._factors.ranks) if self._factor(self.nothing()) else None
 
     def closed_form(self) -> tuple[Found | None, Array | None]:
         """Return the closed form if it breaks no row, with its proof; and the step in any case."""

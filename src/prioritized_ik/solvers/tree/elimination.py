@@ -18,7 +18,7 @@ from prioritized_ik.solvers.tree.factors import HELD, Balance, Ending, Factors, 
 from prioritized_ik.solvers.tree.frames import END, Coordinates, FrameStep, Parted, joined, next_frame, part, split
 from prioritized_ik.solvers.tree.stages import TWIST, Stage, stages_of, twist_moved
 from prioritized_ik.solvers.tree.triangle import Triangle
-from prioritized_ik.tolerances import NOISE, ROUNDING, TREE_ZERO
+from prioritized_ik.tolerances import NOISE, ROUNDING
 from prioritized_ik.validation import Array, length
 
 NEAR = 1e-10  # [of its terms] a pivot of the inertia this small may have either sign
@@ -36,7 +36,7 @@ class Elimination(Factors):
         self._spread, terms, self._lengths = self._measured()
         safe = np.where(self._lengths > 0.0, self._lengths, 1.0)
         self._unit = rows.given / safe[:, None]
-        self._zeros = np.maximum(TREE_ZERO, ROUNDING * terms / safe)
+        self._zeros = np.maximum(rows.zero, ROUNDING * terms / safe)
         self._real = (self._lengths > ROUNDING * self._lengths.max(initial=0.0)) & (rows.roots > 0.0)
 
     def factor(self, fixed: NDArray[np.bool_], held: NDArray[np.bool_]) -> Ending:
@@ -125,6 +125,15 @@ class Elimination(Factors):
         if triangle is None:
             return np.zeros(len(self.fixed))
         return self._joined(level, triangle.solve(self._by_step(level, whitened)))
+
+    def left_by(self, level: int, step: Array) -> Array:
+        """See `Factors.left_by`."""
+        left = [step[numbers] for numbers in self._inputs]
+        for turn, steps in zip(self._turns[: level + 1], self._parted[: level + 1], strict=True):
+            for parted in (turn, steps):
+                if parted:
+                    _, left = split(parted, left)
+        return self._joined(level, None, left)
 
     def balance(self, level: int, given: Array, sizes: Array, rounded: float, off: Array, *, is_held: bool) -> Balance:
         """See `balance.balance`."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.kinematic_tree import BASE, KinematicTree, Numbers, PointRows, crossed, length_of
+from prioritized_ik.tolerances import TREE_ZERO
 from prioritized_ik.validation import Array
 
 HELD = 0  # the level of rows that are held; the problem's are numbered from 1, and the last level comes after them
@@ -23,12 +24,14 @@ class TreeRowsOnJoints:
         levels: number of the problem's levels.
         level: of each row `(k,)`, `HELD` or from 1 on.
         roots: √w of each `(k,)`, zero of those that count for nothing.
+        zero: what a row of unit length moves of what those before it leave, up to this, counts as zero.
     """
 
     points: PointRows
     levels: int
     level: Numbers
     roots: Array
+    zero: float = TREE_ZERO
 
     @property
     def last(self) -> int:
@@ -173,6 +176,10 @@ class Factors(ABC):
     @abstractmethod
     def displacement(self, level: int, whitened: Array) -> Array:
         """Return the move `(m,)` along the level's directions whose R u is `whitened` `(p,)`."""
+
+    @abstractmethod
+    def left_by(self, level: int, step: Array) -> Array:
+        """Return what of a step `(m,)` is in the directions that levels up to this one leave, without fixed joints."""
 
     @abstractmethod
     def balance(self, level: int, given: Array, sizes: Array, rounded: float, off: Array, *, is_held: bool) -> Balance:

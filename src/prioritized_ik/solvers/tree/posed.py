@@ -10,7 +10,7 @@ from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.solvers.compiled.tree import CompiledElimination
 from prioritized_ik.solvers.tree.elimination import Elimination
 from prioritized_ik.solvers.tree.factors import Factors, TreeRowsOnJoints
-from prioritized_ik.tolerances import NOISE
+from prioritized_ik.tolerances import NOISE, TREE_ZERO
 from prioritized_ik.tree_problem import TreeLevel, TreeRows, tree_of
 from prioritized_ik.validation import Array, length
 
@@ -39,6 +39,7 @@ class PosedOnTree:
 
     Attributes:
         problem: as it was given.
+        zero: see `TreeRowsOnJoints`.
         tree: of joints in the metric.
         lower, upper, reference: in the metric `(m,)`.
         rows: all rows' motions `(k,)`.
@@ -47,7 +48,8 @@ class PosedOnTree:
         parts: places of each level's rows, those of the inequality rows first.
     """
 
-    def __init__(self, problem: IKProblem) -> None:
+    def __init__(self, problem: IKProblem, zero: float = TREE_ZERO) -> None:
+        self.zero = zero
         self._moved_by: Array | None = None
         self._motions = self._terms = np.zeros(0)
         tree = tree_of(problem)
@@ -92,7 +94,7 @@ class PosedOnTree:
     @cached_property
     def on_joints(self) -> TreeRowsOnJoints:
         """The rows for the elimination."""
-        return TreeRowsOnJoints(self.rows, len(self.parts) - 1, self.level, self.roots)
+        return TreeRowsOnJoints(self.rows, len(self.parts) - 1, self.level, self.roots, self.zero)
 
     @cached_property
     def sides(self) -> Array:

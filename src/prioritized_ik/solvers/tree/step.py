@@ -14,7 +14,7 @@ from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.solvers.tree.active_set import Found, Search
 from prioritized_ik.solvers.tree.certificate import ActiveSet
 from prioritized_ik.solvers.tree.posed import PosedOnTree, is_on_tree
-from prioritized_ik.tolerances import ACCEPTED_VIOLATION
+from prioritized_ik.tolerances import ACCEPTED_VIOLATION, NEAR_ZERO, TREE_ZERO
 
 PATH = "tree"
 KINEMATICS = ("auto", "tree", "dense")  # see `SolveOptions.kinematics`
@@ -54,10 +54,16 @@ def tree_step(
     if not posed.has_clear_rows:
         return None
     names, numbers = numbered_names(problem.bounds.names, problem.rows.names, ())
-    search = Search(posed)
-    if rank_tolerance and not search.has_clear_ranks(rank_tolerance):
-        return None
-    found = _found(search, _guess(search, rows, names, numbers), question)
+    found = None
+    for zero in (TREE_ZERO, NEAR_ZERO):
+        search = Search(posed)
+        if not rank_tolerance or search.has_clear_ranks(rank_tolerance):
+            found = _found(search, _guess(search, rows, names, numbers), question)
+        if found is not None or zero == NEAR_ZERO:
+            break
+        posed, ranks = PosedOnTree(problem, NEAR_ZERO), search.ranks
+        if Search(posed).ranks in (None, ranks):  # nothing is near zero
+            break
     if found is None:
         return None
     step = _step(posed, found, rank_tolerance, method, perf_counter() - started)
