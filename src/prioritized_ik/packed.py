@@ -44,11 +44,12 @@ class Layout:
 
     Attributes:
         pattern: a problem with that shape, and with its names, kinds of levels, damping, metric and noise.
+        hands_down: whether the optimum of a damped level is handed down.
         levels: the rows of each level.
     """
 
     def __init__(self, pattern: IKProblem) -> None:
-        self.pattern = pattern
+        self.pattern, self.hands_down = pattern, pattern.hands_down
         self.levels = _in_succession([len(level.target) for level in pattern.levels])
         self._pattern_parts = parts = Parts.of(pattern)
         self._shapes = [part.shape for part in parts]
@@ -95,6 +96,11 @@ class PackedProblem(IKProblem):
     def pattern(self) -> IKProblem:
         """See `IKProblem.pattern`."""
         return self.layout.pattern
+
+    @property
+    def hands_down(self) -> bool:
+        """See `IKProblem.hands_down`."""
+        return self.layout.hands_down
 
     @property
     def joint_count(self) -> int:

@@ -110,6 +110,11 @@ class Level:
         )
 
     @property
+    def hands_down(self) -> bool:
+        """Whether its damped optimum is handed down to those below."""
+        return self.damping > 0.0 and self.below == "free"
+
+    @property
     def is_soft(self) -> bool:
         """Whether this is a level of soft inequalities."""
         return self.kind == "at_most"
@@ -348,6 +353,11 @@ class IKProblem:
     def pattern(self) -> "IKProblem":
         """A problem of the same shape, names, kinds of levels, damping, metric and noise, at hand whatever its numbers."""
         return self
+
+    @property
+    def hands_down(self) -> bool:
+        """Whether the optimum of a damped level is handed down, see `damping`."""
+        return any([level.hands_down for level in self.levels])
 
     def with_levels(self, levels: Sequence[Level]) -> "IKProblem":
         """Return the problem with other levels."""

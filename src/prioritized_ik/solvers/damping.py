@@ -22,7 +22,7 @@ def handed_down(problem: IKProblem, solve: Callable[[IKProblem], JointStep]) -> 
     """
     levels: list[Level] = []
     for level in problem.levels:
-        if level.damping and level.below == "free":
+        if level.hands_down:
             step = solve(problem.with_levels((*levels, replaced(level, below="hold"))))
             if step.dtheta is None:
                 return replace(step, message=f"level {level.name!r}, damped: {step.message}".rstrip(": "))

@@ -146,7 +146,7 @@ def joint_step(problem: IKProblem, start: Start, options: SolveOptions, method: 
     """
     if options.soften:
         problem, options = problem.softened(options.soften), replace(options, soften=())
-    if any([level.damping and level.below == "free" for level in problem.pattern.levels]):
+    if problem.hands_down:
         return _damped_step(problem, start, options).made_by(method)
     return _undamped_step(problem, start, options, method).made_by(method)
 

@@ -137,7 +137,7 @@ def compiled_step(
     dtheta = workspace.dtheta.copy()
     if not is_flat:
         dtheta = problem.from_metric(dtheta)
-    figures = workspace.figures[: FIGURES * (sizes.levels + 1) + 2 + sizes.levels].copy()
+    figures = workspace.written.copy()
     active = Remembered(workspace.names, workspace.kept_rows())
     step = object.__new__(CompiledStep)
     step.__dict__.update(

@@ -95,6 +95,7 @@ class Workspace:
         self.soft, self._guess = _flags(next(at), levels), _flags(next(at), every).data
         self.dtheta = _reals(next(at), m)
         self.figures = _reals(next(at), FIGURES * (levels + 1) + 2 + levels)
+        self.written = self.figures  # of the problem that was solved last
         self.multipliers = _reals(next(at), (levels + 1) * every)
         self.lists = _integers(next(at), COUNTS + 2 * every + k + r + 2 * (levels + 1) * every)
         self._kept = _flags(next(at), every).data
@@ -184,6 +185,7 @@ class Workspace:
         """Tell the core the sizes of what comes next, unless it knows."""
         if sizes is not self._sizes:
             self._sizes = sizes
+            self.written = self.figures[: FIGURES * (sizes.levels + 1) + 2 + sizes.levels]
             self._size(self._address, sizes.levels, sizes.level_rows, sizes.rows, sizes.equalities)
 
 
