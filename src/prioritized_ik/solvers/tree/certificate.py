@@ -167,11 +167,12 @@ class TreeProof:
             faint = NEARLY * self._faintness(number, found.pulls, given)
             faint_of_rows = faint / posed.lengths[posed.parts[0]]
             wrong_bounds, first_bounds, unclear_bounds = _told(
-                bounds, found.of_bounds, np.where(self._sure[0], 0.0, faint), self._leak_of_bounds, self._faint_bounds
+                bounds, found.of_bounds, faint, self._leak_of_bounds, self._faint_bounds, self._sure[0]
             )
             wrong_rows, first_rows, unclear_rows = _told(
-                rows, found.of_rows, np.where(self._sure[1], 0.0, faint_of_rows), self._leak_of_rows, self._faint_rows
+                rows, found.of_rows, faint_of_rows, self._leak_of_rows, self._faint_rows, self._sure[1]
             )
+            gap += self._evaded(bounds, rows)
             self._leak_of_bounds[first_bounds] = gap / bounds[first_bounds]
             self._leak_of_rows[first_rows] = gap / rows[first_rows]
             loosened = float(np.abs(self._slack[first_rows]).sum())
@@ -182,6 +183,13 @@ class TreeProof:
         rounding = max(found.feigned, loosened)
         told = wrong_bounds, wrong_rows, unclear_bounds, unclear_rows
         return TreeLevelProof(gap, demand, excess, rounding, carried, bounds, rows, *told)
+
+    def _evaded(self, bounds: Array, rows: Array) -> float:
+        """Return what the level would gain if all that is sure to hold the step, but pulls here, gave way by all of it."""
+        lengths = self._posed.lengths[self._posed.parts[0]]
+        pulls = np.where(self._sure[0] & ~np.isfinite(self._leak_of_bounds), np.minimum(bounds, 0.0), 0.0)
+        others = np.where(self._sure[1] & ~np.isfinite(self._leak_of_rows), np.minimum(rows, 0.0) * lengths, 0.0)
+        return -2.0 * self.scale * float(pulls.sum() + others.sum())
 
     def _faintness(self, number: int, pulls: Array, given: Array) -> float:
         """Return the largest multiplier, of a row of unit length, that directions can give that no row feels.
@@ -268,7 +276,12 @@ class TreeProof:
 
 
 def _told(
-    multipliers: Array, uncertain: Array | float, faint: Array | float, leak: Array, is_faint: NDArray[np.bool_]
+    multipliers: Array,
+    uncertain: Array | float,
+    faint: Array | float,
+    leak: Array,
+    is_faint: NDArray[np.bool_],
+    is_sure: NDArray[np.bool_],
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which rows pull, which hold the level as the first above, and which pull but not clearly.
 
@@ -278,10 +291,11 @@ def _told(
         faint: up to where they may be those of a direction that no row feels.
         leak: how far the rows can move that levels above hold `(n,)`, infinite for others.
         is_faint: which rows a level so far holds, but faintly `(n,)`; those that this one does are added.
+        is_sure: which are known to hold the step at the first level whose multiplier is one `(n,)`, however faint.
     """
     free = ~np.isfinite(leak)
     pulls = free & (multipliers < -PULLS * uncertain)
     wrong = pulls & (multipliers < -faint) & ~is_faint
-    first = free & (multipliers > uncertain) & (multipliers > faint)
+    first = free & (((multipliers > uncertain) & (multipliers > faint)) | (is_sure & (multipliers > 0.0)))
     is_faint |= free & ~first & (multipliers > PULLS * uncertain)
-    return wrong, first, pulls & ~wrong
+    return wrong, first, pulls & ~wrong & ~is_sure
