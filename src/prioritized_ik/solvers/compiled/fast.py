@@ -1,6 +1,7 @@
 """From a problem to the joint step of the compiled core, or to None where it declines."""
 
 from collections.abc import Collection
+from itertools import compress
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -56,7 +57,7 @@ class Remembered(NamedTuple):
 
     def named(self) -> tuple[str, ...]:
         """Return the names of the rows."""
-        return tuple([name for name, kept in zip(self.names, self.kept, strict=True) if kept])
+        return tuple(compress(self.names, self.kept))
 
 
 class CompiledStep(JointStep):
