@@ -28,8 +28,8 @@ PROJECTION = 16.0
 #: [–] directions are never taken for less certain than this, however weak what a level kept
 UNSURE = 1e-6
 
-#: [–] Half a unit in the last place of extended precision: how far one operation in it can be off.
-HALF_UNIT = 0.5 * float(np.finfo(np.longdouble).eps)
+#: [–] A product of matrices of numbers with twice the digits of doubles is off by this much of a row and a column, a term.
+FINEST = 2.0**-90
 
 # --- What a certificate allows ------------------------------------------------------------------------------------------
 
@@ -94,7 +94,7 @@ ROWS_PER_SEARCH = 24
 #: [–] Attempts to mend a step that is off by rounding.
 REFINEMENTS = 3
 
-#: [of the step] What is off by more is not off by rounding.
+#: [of the step] What is off by more, and by more than rounding of doubles can feign, is not off by rounding.
 REFINABLE = 1e-2
 
 # --- A guess from nothing ---------------------------------------------------------------------------------------------

@@ -15,9 +15,10 @@ import prioritized_ik as pik
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers import active_set
 from prioritized_ik.solvers.active_set import Active, Solution, face_solution, guessed, solve
+from prioritized_ik.solvers.blocks import HARD
 from prioritized_ik.solvers.certificate import Proof, certify
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
-from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
+from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.stagewise import stagewise
 from prioritized_ik.tolerances import CERTIFIED, GUESS, UNDECIDED

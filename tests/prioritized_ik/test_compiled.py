@@ -29,6 +29,7 @@ from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.compiled import fast
 from prioritized_ik.solvers.compiled.library import FOLDER, SWITCH, Ending, Library, digest, library, load, tolerances_of
 from prioritized_ik.solvers.compiled.workspace import Sizes, workspace_for
+from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.solve import solve
@@ -62,9 +63,10 @@ def by_python(problem: IKProblem, options: SolveOptions | None = None) -> JointS
 
 
 def apart(one: np.ndarray, other: np.ndarray, problem: IKProblem) -> float:
-    """How far two steps are apart, relative to the longer, in the joint metric."""
+    """How far two steps are apart, relative to what figures of a certificate count against, in the joint metric."""
     u, v = problem.to_metric(one), problem.to_metric(other)
-    return float(np.linalg.norm(u - v) / (max(np.linalg.norm(u), np.linalg.norm(v)) or 1.0))
+    hierarchy = Hierarchy(problem)
+    return float(np.linalg.norm(u - v) / max(hierarchy.scale(u), hierarchy.scale(v)))
 
 
 class TestBesideThePythonForm:
@@ -80,7 +82,7 @@ class TestBesideThePythonForm:
             allowed = WORST + step.certificate.variation
             if other.certificate.holds:
                 assert apart(step.dtheta, other.dtheta, problem) <= allowed + other.certificate.variation
-            else:  # the core has more digits: the optimum in rational numbers decides
+            else:  # the optimum in rational numbers decides
                 best = exact.optimum(exact.ExactProblem.of(problem))
                 assert best is not None
                 assert apart(step.dtheta, np.array(best.x, float), problem) <= allowed
@@ -89,6 +91,7 @@ class TestBesideThePythonForm:
         far = [
             apart(step.dtheta, by_python(problem).dtheta, problem)
             for name in campaign.supported()
+            if name != "robot_at_rest"  # all of whose steps is less than what a certificate asks for
             for problem, step in answered(name)
         ]
         assert len(far) >= 200
@@ -162,7 +165,8 @@ class TestMoreDigits:
                 Level(above, above @ (0.01 * rng.uniform(0.0, room))),
                 Level(ask, rng.normal(size=2), damping=1e-12, below="hold"),
             ]
-            problem = IKProblem(levels, Bounds(np.full(m, -0.03), room))
+            # The root of a metric rounds what is given: there are no more digits to look at.
+            problem = IKProblem(levels, Bounds(np.full(m, -0.03), room), metric=rng.uniform(0.5, 2.0, m))
             step = fast.compiled_step(problem, 0.0)
             if step is None or step.status is not StepStatus.UNCERTIFIED:
                 continue

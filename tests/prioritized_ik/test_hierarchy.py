@@ -12,9 +12,10 @@ from tolerances import ORACLE, ROUNDING, SABOTAGE
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.solvers.blocks import HARD, EqualBlock, SoftBlock
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, general_solution, rank_decomposition_svd, weighted_optimum
 from prioritized_ik.solvers.compiled.workspace import Sizes, workspace_for
-from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy, SoftBlock, strict_solution
+from prioritized_ik.solvers.hierarchy import Hierarchy, strict_solution
 from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import StepStatus
 from prioritized_ik.tolerances import AMPLE, DEPENDENT, FLOOR, NOISE

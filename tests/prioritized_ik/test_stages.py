@@ -10,8 +10,9 @@ from winding_fixtures import QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
+from prioritized_ik.solvers.blocks import HARD
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, level_decomposition, resulting_displacement, weighted_optimum
-from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
+from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.lexicographic import SolveOptions, first_stage
 from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.stages import FoldState, Stage, damped_stage, level_stage, reference_stage

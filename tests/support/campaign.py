@@ -41,6 +41,8 @@ CARRIED = 64  # times the data's noise is what small problems of small integers 
 LOST = 1e-10  # of the step: a displacement that may cost what it costs
 LEANS = 1e-13  # of the step: breaking a row by more than this can be what changes the optimum
 
+DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (2.0, -1.0), (3.0, 4.0), (5.0, -3.0))  # in the ground, of any length
+
 RIGHT = "right"
 LOOSE = "loose"  # certified, and better than any step that keeps the rows, by breaking them within tolerance
 WRONG = "wrong certified"
@@ -195,6 +197,15 @@ class Case:
     def optimum(self) -> exact.Optimum | None:
         """The exact one; None where no step keeps the rows."""
         return exact.optimum(self.clean)
+
+    @cached_property
+    def asked(self) -> float:
+        """How long a step the levels ask for, each row alone or all without hard rows, in the metric."""
+        free = replace(self.clean, rows=[], upper=[])
+        reached = exact.optimum(free)
+        assert reached is not None
+        root = np.sqrt([float(value) for value in free.metric])
+        return max(_longest(free, root), float(np.linalg.norm(root * [float(value) for value in reached.x])))
 
 
 @dataclass(frozen=True)
@@ -648,6 +659,68 @@ def _posture_below(rng: np.random.Generator, as_weights: bool) -> Sketch:
     return s.box() if s.chance(0.5) else s
 
 
+# Robots.
+
+
+@kind
+def arm_on_wheels(rng: np.random.Generator) -> Sketch:
+    """An arm whose links turn in one plane, on wheels that do not slip: up to six levels, the last one damped or not."""
+    return _damped(_arm_on_wheels(rng))
+
+
+@kind
+def robot_at_rest(rng: np.random.Generator) -> Sketch:
+    """The same where it has arrived at what it can reach, seen from there: what is left of its step is rounding."""
+    s = _arm_on_wheels(rng)
+    there = exact.optimum(exact.ExactProblem.of(s.problem()))
+    assert there is not None
+
+    def left(row: Array, side: float) -> float:
+        return float(Fraction(side) - sum((Fraction(a) * x for a, x in zip(row, there.x, strict=True)), Fraction(0)))
+
+    s.levels = [(a, np.array(list(map(left, a, b))), w, soft) for a, b, w, soft in s.levels]
+    s.lower, s.upper = (np.array(list(map(left, np.eye(s.m), side))) for side in (s.lower, s.upper))
+    s.rows = [(row, left(row, side)) for row, side in s.rows]
+    s.equalities = [(row, left(row, side)) for row, side in s.equalities]
+    return _damped(s)
+
+
+def _arm_on_wheels(rng: np.random.Generator) -> Sketch:
+    """Return levels of a tool's position and orientation, a base at rest and a posture, in coordinates of whole numbers."""
+    s = Sketch(rng, 9)
+    heading, plane = (np.array(DIRECTIONS[rng.integers(len(DIRECTIONS))]) for _ in range(2))
+    position, orientation = np.zeros((3, s.m)), np.zeros((3, s.m))
+    position[:2, :2] = np.eye(2)
+    position[:2, 2], position[:2, 3] = s.integers(2), int(rng.integers(1, 4)) * np.array([-plane[1], plane[0]])
+    position[:2, 4:7], position[2, 4:7] = np.outer(plane, s.integers(3)), s.integers(3)
+    position[:, 7] = s.integers(3) if s.chance(0.5) else 0.0
+    orientation[2, 2:4], orientation[:2, 4:7] = 1.0, np.array([[-plane[1]], [plane[0]]])
+    orientation[:, 7] = s.integers(3)
+    orientation[:, 8] = [*int(rng.integers(1, 3)) * plane, float(rng.integers(0, 3))]
+    far = s.power(-1, 3)
+    for rows, weight in ((position, float(rng.choice([1.0, 100.0]))), (orientation, 1.0)):
+        s.level(rows, far * s.integers(3), weight)
+    base, posture = np.eye(s.m)[:3], np.eye(s.m)
+    s.level(base[:2], np.zeros(2)).level(base[2:], [0.0], 0.25)
+    for part in (posture[:5], posture[5:]):
+        s.level(part, s.integers(len(part)), 2.0 ** rng.integers(-9, 1, len(part)))
+    del s.levels[int(rng.integers(1, 7)) :]
+    s.anchor[:] = 0.0
+    s.lower, s.upper = -rng.integers(0, 3, s.m).astype(float), rng.integers(1, 3, s.m).astype(float)
+    s.lower, s.upper = np.where(rng.random(s.m) < 0.5, (s.lower, s.upper), (-s.upper, -s.lower))
+    s.equal(np.array([-heading[1], heading[0], *np.zeros(7)]))
+    return s.row(-position[2], float(rng.integers(0, 4))) if s.chance(0.5) and position[2].any() else s
+
+
+def _damped(s: Sketch) -> Sketch:
+    """Add damping to the last level, as its rows, or none."""
+    if s.chance(0.7):
+        a, b, w, _ = s.levels.pop()
+        root = 2.0 ** -float(s.rng.choice([5, 10, 20]))
+        s.level(np.vstack([a, root * np.eye(s.m)]), [*b, *np.zeros(s.m)], [*w, *np.ones(s.m)])
+    return s
+
+
 # Rounding of another representation.
 
 
@@ -829,7 +902,9 @@ def judge_step(case: Case, dtheta: Array, certificate: Any) -> Verdict:
     truth = np.array([float(value) for value in best.x])
     off = float(np.linalg.norm(root * [float(a - b) for a, b in zip(x, best.x, strict=True)]))
     size, asked = float(np.linalg.norm(root * truth)), _longest(clean, root)
-    floor = ROUNDED * asked if size else STEP * asked
+    if size < ROUNDED / BROKEN * asked:  # at rest
+        asked = case.asked
+    floor = ROUNDED * asked
     broken = _broken(clean, x, root)
     if broken > (BROKEN + CARRIED * case.noise) * size + floor:
         return Verdict(WRONG, f"breaks a row by {broken:.1e}, step {size:.1e}")
@@ -849,7 +924,8 @@ def judge_step(case: Case, dtheta: Array, certificate: Any) -> Verdict:
             return Verdict(LOOSE, f"level {number + 1} costs {-excess:.1e} less; a row is broken by {broken:.1e}")
     # The noise can move the optimum by more than itself: by no more than a thousand times in the kinds that have noise.
     variation = max(getattr(certificate, "rounding", (0.0,)))
-    if off > (STEP + 1000 * CARRIED * case.noise + 2 * variation) * size + floor:
+    counted = max(size, ROUNDED / BROKEN * asked)  # steps of robots at rest count as this long
+    if off > (STEP + 1000 * CARRIED * case.noise) * size + 2 * variation * counted + floor:
         return Verdict(LOOSE if leans else WRONG, f"dθ is off by {off:.1e} of {size:.1e}; variation said {variation:.0e}")
     return Verdict(RIGHT)
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from prioritized_ik.solvers.blocks import HARD
 from prioritized_ik.solvers.certificate import Proof
-from prioritized_ik.solvers.hierarchy import HARD, Hierarchy
+from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.subspaces import Range
 from prioritized_ik.tolerances import (
     CERTIFIED,
@@ -225,7 +226,7 @@ def _refined(hierarchy: Hierarchy, u: Array, proof: Proof) -> tuple[Array, Proof
     """
     for _ in range(REFINEMENTS):
         failing = next((level for level in proof.levels if level.excess > CERTIFIED * proof.scale), None)
-        if failing is None or failing.excess > REFINABLE * proof.scale:
+        if failing is None or failing.excess > max(REFINABLE * proof.scale, failing.feigned):
             return None
         u = _at_bounds(hierarchy, proof.near, u + failing.displacement)
         proof = Proof(hierarchy, u, searching=True)

@@ -30,22 +30,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.problem import IKProblem, Level, trusted
-from prioritized_ik.solvers.balance import Decided, Floats, Look, balanced, exact_basis, exact_gradient, farthest, whitened
-from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy, Shortfall
+from prioritized_ik.solvers.balance import Look, farthest, whitened
+from prioritized_ik.solvers.blocks import HARD, EqualBlock, Shortfall
+from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.level_proof import LevelProof
+from prioritized_ik.solvers.looks import Looks
 from prioritized_ik.solvers.subspaces import Range
-from prioritized_ik.tolerances import (
-    CERTIFIED,
-    EPS,
-    GAP,
-    LEAKS,
-    LEAST_DEMAND,
-    NOISE,
-    NOTHING,
-    OFF,
-    ROUNDING,
-    UNDECIDED,
-)
+from prioritized_ik.tolerances import CERTIFIED, GAP, LEAST_DEMAND, NOTHING, OFF, ROUNDING, UNDECIDED
 from prioritized_ik.validation import Array, finite_array, length, lengths, tolerance_above_rounding
 
 FAR = 1e300  # a row that no level above holds can move any way
@@ -153,9 +144,7 @@ class Proof:
         self.exceeded = (rows.level != HARD) & (self.slack < -near)
         #: How far a row can move that a level above holds, infinite for those that none holds.
         self._leak = np.full(len(rows.upper), np.inf)
-        self._rows = rows.matrix.copy()  # without what several together have left of them, where that settles them
-        self._blur = 0.0  # how far rounding may have turned the directions that the levels so far leave
-        self._decided = Decided()
+        self._looks = Looks(hierarchy, u, self.scale, tolerance)
         self._off = 0.0  # by how much the step is off at the levels so far, in what they decide
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
         #: How far the step may go within the room that rows have: what is broken of hard ones, to begin with.
@@ -198,7 +187,7 @@ class Proof:
         free, near = hierarchy.free, np.flatnonzero(self.near & (rows.level == HARD))
         for number, (level, block) in enumerate(zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)):
             shortfall = block.shortfall(rows, self.slack, self.exceeded, u, free)
-            self._settle(near, shortfall.felt.unfelt)
+            self._looks.settle(near, shortfall.felt.unfelt, number)
             yield self._proof(level, block.demand, shortfall, free, near, number)
             if not isinstance(block, EqualBlock):
                 # None may be exceeded by more than it is, and none by less without costing the level: they hold.
@@ -207,25 +196,14 @@ class Proof:
                 near = np.concatenate([near, np.flatnonzero(self.near & (rows.level == number))])
             else:
                 free = shortfall.felt.unfelt
-                self._blur = max(self._blur, block.blur)
-                given = level.matrix if hierarchy.rank_tolerance else level.matrix / lengths(level.matrix)[:, None]
-                self._decided.add(given, block.felt, float(block.spectrum.kept.min(initial=np.inf)))
+                self._looks.passed(block, number)
         reference = hierarchy.problem.reference
         terms = np.abs(free.T) @ (np.abs(u) + np.abs(reference))
         size = length(u) + length(reference)
         last = Shortfall(Range(free, free[:, :0], None), free.T @ (u - reference), terms, 1.0, 0.0)
         identity = np.eye(len(u))
         own = trusted(Level, matrix=identity, target=reference, weights=np.ones(len(u)), name="last level", kind="equal")
-        yield self._proof(own, size, last, free, near)
-
-    def _settle(self, near: NDArray[np.int_], unfelt: Array) -> None:
-        """Leave out of `near` rows what `unfelt` directions move of combinations that a level settles, as the kernel does.
-
-        Two rows that say the same of what is left, but for that little, are one row there.
-        """
-        combinations, strengths, directions = np.linalg.svd(self._rows[near] @ unfelt, full_matrices=False)
-        few = strengths <= self._hierarchy.least(unfelt.shape[1])
-        self._rows[near] -= (combinations[:, few] * strengths[few]) @ (unfelt @ directions[few].T).T
+        yield self._proof(own, size, last, free, near, len(hierarchy.blocks))
 
     def _sensitivity(self, level: Level) -> tuple[float, float]:
         """Return the length of the gradient of a level's cost, and ‖W^½ A‖."""
@@ -239,31 +217,29 @@ class Proof:
         shortfall: Shortfall,
         free: Array,
         near: NDArray[np.int_],
-        number: int | None = None,
+        number: int,
     ) -> LevelProof:
-        """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back.
-
-        The last level has no `number`.
-        """
-        near = near[lengths(self._rows[near] @ free) > self._hierarchy.settled]
+        """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back."""
+        near = near[lengths(self._looks.rows[near] @ free) > self._hierarchy.settled]
         held = np.isfinite(self._leak[near])  # by a level above: of either sign here
         steepness, strength = self._sensitivity(level)
         felt = shortfall.felt.felt
         follows = strength * float(np.linalg.norm(felt)) if felt.size else 0.0
-        look = self._looked(level, shortfall, free, near, held, follows, number)
-        net = look.balance.net(held)
-        counts = np.abs(net) > NOTHING * (look.size + np.abs(net).sum())
+        look = self._looks.at(level, shortfall, near, held, follows, steepness, number)
+        net = look.balance.multipliers
+        terms = look.size + np.abs(net).sum() + shortfall.strength * self.scale
+        counts = np.abs(net) > np.maximum(NOTHING * terms, look.doubtful)
         pull = net / look.balance.sizes
         slack = np.abs(self.slack[near])
         back = held & (net < 0.0)
         # Weak duality, see above. Along what it does not feel a level's cost falls as far as steps of this size go.
         gap = 2.0 * float(np.abs(pull) @ np.where(back, np.minimum(self._leak[near], FAR), slack))
         lower = float(look.beyond @ look.beyond) + 2.0 * length((look.beyond / look.sizes)[felt.shape[1] :]) * self.scale
-        off, rounding = length(look.displacement), float(look.rounding @ look.rounding)
-        if off > OFF * self.scale:
+        excess, rounding = length(look.displacement), float(look.rounding @ look.rounding)
+        if excess > OFF * self.scale:
             gap += lower
         else:
-            off, rounding = 0.0, rounding + lower
+            excess, rounding = 0.0, rounding + lower
         multipliers = np.zeros(len(self.slack))
         multipliers[near] = np.where(counts, pull, 0.0)
         first = near[~held & (multipliers[near] > 0.0)]
@@ -271,21 +247,24 @@ class Proof:
         carrying = counts & ~back
         loosened = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free)
         self._loose = max(self._loose, self._evaded(near[carrying], look, shortfall.felt))
-        # What a level above is off by, beyond rounding, those below follow, and the more the weaker they are.
-        drawn = self._off * (1.0 + follows)
-        above = max(self._above, drawn)
+        # What a level above is off by, those below follow, and the more the weaker they are.
+        answers = felt @ (felt.T @ (level.matrix.T * level.weights))  # what the level does about what its rows lack
+        drawn, above = (off * (1.0 + float(np.linalg.norm(answers @ level.matrix))) for off in (self._off, self._above))
+        above = max(above, drawn)
         moved = level.matrix @ self._handed
         handed = 2.0 * abs(float((level.weights * level.residual(self._u)) @ moved)) + float(level.weights @ moved**2)
+        handed += 2.0 * float(np.abs(pull) @ np.abs(self._looks.rows[near] @ self._handed))  # rows follow, too
         # The level follows what mends those above, and has its own to mend.
-        self._handed = self._handed - felt @ (felt.T @ (level.matrix.T @ (level.weights * moved))) + look.displacement
-        self._above = max(self._above, look.explained, loosened)
-        self._off = drawn + off
+        self._handed = self._handed - answers @ moved + look.displacement
+        self._above = max(above, look.explained, loosened)
+        self._off = drawn + excess
         return LevelProof(
             level.name,
             gap,
             rounding + (steepness + 2.0 * float(np.abs(pull).sum())) * above + (strength * above) ** 2 + handed,
             max(demand, math.sqrt(level.cost(self._u)), LEAST_DEMAND * shortfall.strength * self.scale),
             look.displacement,
+            look.feigned,
             max(look.explained, loosened, self._off),
             multipliers,
             look.gradient,
@@ -295,14 +274,14 @@ class Proof:
             self.tolerance,
         )
 
-    def _evaded(self, carrying: NDArray[np.int_], look: "Look", range_: Range) -> float:
+    def _evaded(self, carrying: NDArray[np.int_], look: Look, range_: Range) -> float:
         """Return how far the level moves if `carrying` rows `(t,)` hold it only as far as its unfelt directions allow.
 
         A row holds a level for good where no direction that the level does not feel moves it. What is left of the gradient
         along these is a share of the multipliers that nothing holds: the level takes a way around the rows, however long.
         """
         left = length((look.beyond / look.sizes)[range_.felt.shape[1] :])
-        normals = self._rows[carrying]
+        normals = self._looks.rows[carrying]
         moves = lengths(normals @ range_.unfelt)
         evading = moves > self._hierarchy.settled
         if not left or not evading.any():
@@ -322,7 +301,7 @@ class Proof:
         room = np.where(slack > ROUNDING * self.scale, slack, 0.0) + loose
         worth = multipliers * room
         room = np.maximum(room, np.minimum((worth.sum() - worth) / multipliers, self.tolerance * self.scale))
-        normals, far = self._rows[carrying], 0.0
+        normals, far = self._looks.rows[carrying], 0.0
         moves = lengths(normals @ range_.unfelt) > self._hierarchy.settled
         for among, way in ((moves, range_.unfelt), (~moves, free)):
             if among.any():
@@ -331,61 +310,3 @@ class Proof:
         loosened = max(far, farthest(normals, room, whitened(range_)[0]))
         self._loose = max(self._loose, loosened) if room.any() else self._loose
         return loosened
-
-    def _looked(
-        self,
-        level: Level,
-        shortfall: Shortfall,
-        free: Array,
-        near: NDArray[np.int_],
-        held: NDArray[np.bool_],
-        follows: float,
-        number: int | None,
-    ) -> "Look":
-        """Return how far rows balance a level's gradient: in double precision, where that cannot tell in extended."""
-        felt = shortfall.felt.felt
-        # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
-        leaks = EPS * follows * math.sqrt(level.cost(self._u)) * max(lengths(felt.T), default=0.0)
-        noise = self._hierarchy.problem.noise
-        stated = noise > NOISE
-        unit = noise if stated else ROUNDING
-        for extended in (False, True):
-            turn = min(self._blur, self._decided.turn(free)) if extended else self._blur
-            exact = extended and not level.is_soft
-            basis, sizes = whitened(shortfall.felt, weakly=exact)
-            strongest, unfelt_lengths = max(sizes[: felt.shape[1]], default=0.0), sizes[felt.shape[1] :]
-            gradient: Floats = np.concatenate([shortfall.gradient, np.zeros_like(unfelt_lengths)])
-            # What a level does not feel is zero, and not rounding.
-            terms = np.concatenate([shortfall.terms + shortfall.leak * strongest, shortfall.leak * unfelt_lengths])
-            blur = unit * terms
-            directions: Floats = basis
-            if exact:
-                solved = self._as_cut(level, number)
-                gradient, blur = exact_gradient(solved, felt, self._u, len(gradient), blur)
-                directions = exact_basis(solved, basis, felt.shape[1])
-            lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
-            balance = balanced(self._rows[near], directions, lacking, held, unit, extended=extended)
-            # Multipliers as large as that are made of what rounding leaves of rows that cancel each other.
-            turned = turn * sizes * float(np.abs(balance.net(held) / balance.sizes).sum())
-            rounding = blur + balance.rounding + turned
-            beyond = np.sign(balance.rest) * np.maximum(np.abs(balance.rest) - rounding, 0.0)
-            explained = max(float(np.linalg.norm(sizes * rounding)), 0.0 if extended else leaks)
-            look = Look(
-                balance,
-                gradient.astype(float),
-                sizes,
-                rounding,
-                beyond,
-                -(basis @ beyond),
-                explained,
-                length(shortfall.terms),
-            )
-            off = max(explained / UNDECIDED, length(look.displacement) / self.tolerance, leaks / LEAKS)
-            if stated or off <= self.scale:  # more digits of data that are off in the seventh tell nothing
-                break
-        return look
-
-    def _as_cut(self, level: Level, number: int | None) -> Level:
-        """Return a level as it is solved: where the rank tolerance cuts more than rounding, without what it cuts."""
-        cut = self._hierarchy.rank_tolerance and number is not None
-        return self._hierarchy.cut_problem.levels[number] if cut and number is not None else level

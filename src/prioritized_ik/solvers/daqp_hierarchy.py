@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from prioritized_ik.solvers.backends.abilities import abilities_of
 from prioritized_ik.solvers.backends.protocol import SolverFailedError, StageResult
 from prioritized_ik.solvers.backends.qpsolvers_ import SOLVER_ERRORS
-from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy
+from prioritized_ik.solvers.blocks import HARD, EqualBlock
+from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.lexicographic import Clock
 from prioritized_ik.solvers.methods import Guessing
 from prioritized_ik.validation import Array

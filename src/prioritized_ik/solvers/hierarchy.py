@@ -14,186 +14,43 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.problem import IKProblem, Level, replaced
-from prioritized_ik.solvers.closed_form import RANK_TOLERANCE, Spectrum, level_decomposition
-from prioritized_ik.solvers.subspaces import Range, divided, pivoted_qr, range_of
-from prioritized_ik.tolerances import AMPLE, DEPENDENT, EPS, FEASIBLE, FLOOR, PROJECTION, SETTLED_PER_RANK_TOLERANCE, UNSURE
+from prioritized_ik.solvers.blocks import HARD, Block, EqualBlock, PooledRows, SoftBlock, equal_block, without
+from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
+from prioritized_ik.solvers.decided import Decided, Decision
+from prioritized_ik.solvers.double_double import DoubleDouble
+from prioritized_ik.tolerances import (
+    AMPLE,
+    DEPENDENT,
+    EMPTY,
+    FEASIBLE,
+    FLOOR,
+    SETTLED_PER_RANK_TOLERANCE,
+)
 from prioritized_ik.validation import Array, distinct, length, lengths, tolerance_above_rounding
 
-HARD = -1  # the level of hard rows
-
 
 @dataclass(frozen=True)
-class Shortfall:
-    """What a level still lacks at a step, in the coordinates of what it feels.
+class Kept:
+    """What equalities and frozen joints keep.
 
     Attributes:
-        felt: the level's range within the directions left to it.
-        gradient: `(r,)`.
-        terms: sizes of the terms of which that is the difference `(r,)`, for their rounding.
-        strength: what a step of unit length can do to the level at most.
-        leak: what rounding lets through of the gradient that levels above absorb is a rounding of this.
+        start: the shortest step `(m,)` that keeps them, as far as they can be kept.
+        free: orthonormal directions `(m, f)` that they leave.
+        matrix: the rows `(e, m)`, of any length.
+        answer: the steps `(m, e)` that answer what the rows lack.
+        weakest: the least singular value that counts, of rows of unit length; infinite if there are none.
     """
 
-    felt: Range
-    gradient: Array
-    terms: Array
-    strength: float
-    leak: float
-
-
-@dataclass(frozen=True)
-class EqualBlock:
-    """One `equal` level, cut to its rank p: its cost is ‖`matrix` @ u - `target`‖², but for what no step can change.
-
-    Attributes:
-        free: orthonormal directions `(m, f)` that the levels above leave.
-        felt: V `(m, p)`, orthonormal, the directions that the level decides.
-        root: R `(p, p)`, upper triangular: `matrix` @ `felt`.
-        inverse: V R⁻¹ `(m, p)`: the shortest steps that change `matrix` @ u by one.
-        matrix: `(p, m)`; zero on everything below the level.
-        whitening: Qᵀ W^½ `(p, k)`, from the level's rows to its own coordinates.
-        below: orthonormal directions `(m, f - p)` left to the levels below.
-        settled: what less of a direction is left by this level and those above is rounding, see `Hierarchy.settled`.
-        blur: how far rounding may have turned the directions below, by this level alone: the more the weaker it is.
-        spectrum: the singular values, and where they were cut.
-        target: c `(p,)`.
-        terms: sizes of the terms that make up the target `(p,)`.
-        spread: sizes of the terms that make up the matrix `(p, m)`: a weak direction is a difference of strong rows.
-        demand: length of W^½ b, out of reach or not.
-    """
-
+    start: Array
     free: Array
-    felt: Array
-    root: Array
-    inverse: Array
     matrix: Array
-    whitening: Array
-    below: Array
-    settled: float
-    blur: float
-    spectrum: Spectrum
-    target: Array
-    terms: Array
-    spread: Array
-    demand: float
-
-    is_soft: ClassVar[bool] = False
-
-    def aimed(self, target: Array, weights: Array) -> "EqualBlock":
-        """Return the block with another right-hand side b `(k,)`; the factors stay."""
-        terms = np.abs(self.whitening) @ np.abs(target)
-        return replaced(self, target=self.whitening @ target, terms=terms, demand=length(np.sqrt(weights) * target))
-
-    def missing(self, u: Array) -> Array:
-        """Return c - N u `(p,)`: what the step still lacks of what the level can reach."""
-        return self.target - self.matrix @ u
-
-    def within(self, free: Array) -> Range:
-        """Return what the level feels within `free`, some or all of the directions that the levels above leave."""
-        if free is self.free:
-            return Range(self.inverse, self.below, None)
-        return range_of(self.felt, self.root, free, max(self.settled, DEPENDENT))
-
-    def wanted(
-        self, rows: "PooledRows", upper: Array, active: NDArray[np.bool_], u: Array, free: Array
-    ) -> tuple[Range, Array]:
-        """Return the level's range within `free`, and the move in it `(r,)` that is its optimum from `u`."""
-        felt = self.within(free)
-        return felt, felt.project(self.missing(u))
-
-    def shortfall(self, rows: "PooledRows", slack: Array, exceeded: NDArray[np.bool_], u: Array, free: Array) -> Shortfall:
-        """Return what the level lacks at `u`."""
-        felt = self.within(free)
-        terms = self.terms + self.spread @ np.abs(u)
-        strength = float(np.linalg.norm(self.root))
-        return Shortfall(felt, -felt.project(self.missing(u)), felt.project_sizes(terms), strength, 0.0)
-
-
-@dataclass(frozen=True)
-class SoftBlock:
-    """One level of soft inequalities: its rows are among the pooled ones, and it counts those that are exceeded.
-
-    Attributes:
-        number: of the level.
-        below: orthonormal directions that the levels above leave, as there is no telling yet which it feels.
-        demand: length of W^½ b.
-    """
-
-    number: int
-    below: Array
-    demand: float
-
-    is_soft: ClassVar[bool] = True
-
-    def wanted(
-        self, rows: "PooledRows", upper: Array, active: NDArray[np.bool_], u: Array, free: Array
-    ) -> tuple[Range, Array]:
-        """Return the range of the level's active rows within `free`, and the move in it `(r,)` to their least squares."""
-        own = active & (rows.level == self.number)
-        felt = rows.within(own, free)
-        return felt, felt.project(rows.strengths[own] * (upper[own] - rows.matrix[own] @ u))
-
-    def shortfall(self, rows: "PooledRows", slack: Array, exceeded: NDArray[np.bool_], u: Array, free: Array) -> Shortfall:
-        """Return what the level's exceeded rows lack at `u`."""
-        own = exceeded & (rows.level == self.number)
-        felt = rows.within(own, free)
-        excess = -rows.strengths[own] * slack[own]
-        terms = rows.strengths[own] * (np.abs(rows.upper[own]) + np.abs(rows.matrix[own]) @ np.abs(u))
-        leak = (1 + self.number) * float(np.linalg.norm(rows.strengths[own] * excess))
-        strength = length(rows.strengths[own])
-        return Shortfall(felt, felt.project(excess), felt.project_sizes(terms), strength, leak)
-
-
-Block = EqualBlock | SoftBlock
-
-
-@dataclass(frozen=True)
-class PooledRows:
-    """Every inequality of a problem, hard ones first, then the rows of soft levels in order; each of unit length.
-
-    A row's excess and slack are therefore distances in the joint metric.
-
-    Attributes:
-        matrix: `(r, m)`, without what is too little of a row to count as a direction.
-        drift: `(r, m)`, that little; the rows are `matrix` + `drift`.
-        upper: `(r,)`.
-        level: number of the soft level that a row belongs to `(r,)`; `HARD` for hard rows.
-        strengths: √w times the row's length before `(r,)`; of no meaning for hard rows.
-        names: `(r,)`.
-    """
-
-    matrix: Array
-    drift: Array
-    upper: Array
-    level: NDArray[np.int_]
-    strengths: Array
-    names: tuple[str, ...]
-
-    @cached_property
-    def joint(self) -> NDArray[np.int_]:
-        """By row the number of the joint that it bounds `(r,)`; negative for rows of soft levels and of several joints."""
-        bounds = (self.level == HARD) & (np.count_nonzero(self.matrix, axis=1) == 1)
-        return np.where(bounds, np.abs(self.matrix).argmax(axis=1), -1)
-
-    def slack(self, u: Array) -> Array:
-        """Return how far `u` is from each row `(r,)`; negative where it is exceeded."""
-        return self.upper - self.matrix @ u - self.drift @ u
-
-    def reach(self, numbers: NDArray[np.int_], free: Array) -> Array:
-        """Return how far rows move along the `free` directions at most, by number, as a fraction of their length."""
-        if free.shape[1] == len(free):  # every direction
-            return np.ones(len(numbers))
-        return lengths(self.matrix[numbers] @ free)
-
-    def within(self, chosen: NDArray[np.bool_], free: Array) -> Range:
-        """Return what the `chosen` rows feel within `free`."""
-        return range_of(self.matrix[chosen].T, np.diag(self.strengths[chosen]), free)
+    answer: Array
+    weakest: float
 
 
 class Hierarchy:
@@ -203,9 +60,9 @@ class Hierarchy:
         problem: the problem in its metric, without what is rounding.
         rank_tolerance: what weak directions of a level count as none, see `closed_form.level_decomposition`; 0: only
             rounding.
+        is_rounded: whether rows are not those that the user gave, but divided by the root of a metric.
         zeros: names of rows that were left out as rounding.
-        start: the shortest step `(m,)` that keeps equalities and frozen joints, as far as they can be kept.
-        free: orthonormal directions `(m, f)` that these leave.
+        kept: what equalities and frozen joints keep, with the `start` and the `free` directions of every solve.
         blocks: one a level.
         rest: orthonormal directions `(m, f)` that no `equal` level feels: they are the reference's.
         settled: a row that moves by less than this fraction of its length along every direction left is settled by the
@@ -216,9 +73,11 @@ class Hierarchy:
         if rank_tolerance:
             tolerance_above_rounding("rank_tolerance", rank_tolerance)
         self._given = problem.in_metric
+        self.is_rounded = self._given is not problem
         self.problem, self.zeros, self._row_numbers = _without_rounding(self._given)
         self.rank_tolerance = rank_tolerance
-        self.start, self.free = _kept(self.problem)
+        self.kept = _kept(self.problem)
+        self.start, self.free = self.kept.start, self.kept.free
         self.blocks: list[Block] = []
         self.rest = self.free
         self.settled = max(problem.noise, SETTLED_PER_RANK_TOLERANCE * rank_tolerance)
@@ -227,10 +86,44 @@ class Hierarchy:
             if level.is_soft:
                 block = SoftBlock(number, self.rest, level.demand)
             else:
-                block = _equal_block(level, self.rest, rank_tolerance, self.settled, problem.noise)
+                block = equal_block(level, self.rest, rank_tolerance, self.settled, problem.noise)
                 self.settled = block.settled
             self.blocks.append(block)
             self.rest = block.below
+
+    def is_cut(self, number: int) -> bool:
+        """Whether the rank tolerance cut more than zeros of a level, by number, which is then not solved as it is given."""
+        block = self.blocks[number] if number < len(self.blocks) else None
+        return bool(self.rank_tolerance) and isinstance(block, EqualBlock) and bool((block.spectrum.cut > EMPTY).any())
+
+    @cached_property
+    def decided(self) -> Decided:
+        """What equalities and frozen joints decide, then what each level does: nothing if it is soft."""
+        kept = self.kept
+        decisions = [Decision(kept.matrix, kept.answer, kept.weakest, self.is_rounded)]
+        for number, (level, block) in enumerate(zip(self.problem.levels, self.blocks, strict=True)):
+            if not isinstance(block, EqualBlock) or not len(block.spectrum.kept):
+                decisions.append(Decision(level.matrix[:0], level.matrix[:0].T, np.inf, is_rounded=False))
+                continue
+            is_cut, answer = self.is_cut(number), block.inverse @ block.whitening
+            if is_cut:  # what is cut is orthogonal to the rest without weights
+                answer = block.felt @ np.linalg.pinv(level.matrix @ block.felt)
+            decisions.append(Decision(level.matrix, answer, float(block.spectrum.kept[-1]), self.is_rounded or is_cut))
+        return Decided(tuple(decisions))
+
+    @cached_property
+    def exact_rows(self) -> DoubleDouble:
+        """What `rows.matrix` is before rows are rounded to unit length `(r, m)`.
+
+        A level that hardly feels what a row leaves makes much of half a unit in the last place of a row that it pushes.
+        """
+        exact = DoubleDouble.of(self.rows.given)
+        for number, little in self.rows.little:
+            block = self.blocks[number]
+            own = exact[little]
+            less = self.decided.less(own, lengths(own.high), np.eye(len(little)), block.below, 2 + number)
+            exact = exact.replaced(little, less)
+        return exact
 
     @cached_property
     def impossible(self) -> tuple[str, ...]:
@@ -266,14 +159,15 @@ class Hierarchy:
         matrix = np.vstack(matrices)
         sizes = lengths(matrix)
         unit = matrix / sizes[:, None]
-        drift = np.zeros_like(unit)
-        for block in self.blocks:
+        drift, few = np.zeros_like(unit), []
+        for number, block in enumerate(self.blocks):
             if isinstance(block, EqualBlock):
                 moved = unit @ block.below
-                little = lengths(moved) <= block.settled
-                if little.any():
+                little = np.flatnonzero(lengths(moved) <= block.settled)
+                if len(little):
                     drift[little] += moved[little] @ block.below.T
                     unit[little] -= moved[little] @ block.below.T
+                    few.append((number, little))
         return PooledRows(
             unit,
             drift,
@@ -281,6 +175,8 @@ class Hierarchy:
             np.concatenate(numbers),
             np.concatenate(roots) * sizes,
             tuple(names),
+            matrix,
+            tuple(few),
         )
 
     @cached_property
@@ -308,7 +204,7 @@ class Hierarchy:
     def cut_problem(self) -> IKProblem:
         """The problem in its metric, `equal` levels cut to their rank, for solvers that know no rank tolerance."""
         levels = (
-            level if isinstance(block, SoftBlock) else replaced(level, matrix=_without(level.matrix, block.below))
+            level if isinstance(block, SoftBlock) else replaced(level, matrix=without(level.matrix, block.below))
             for level, block in zip(self.problem.levels, self.blocks, strict=True)
         )
         return self.problem.with_levels(tuple(levels))
@@ -330,11 +226,6 @@ def strict_solution(levels: Sequence[Level], reference: Array, rank_tolerance: f
     is Eqs. (12) and (13). The rank is cut as in all that reproduces the paper, unless told otherwise.
     """
     return Hierarchy(IKProblem(levels, reference=reference), rank_tolerance).closed_form
-
-
-def _without(matrix: Array, directions: Array) -> Array:
-    """Return `matrix` `(k, m)` with nothing felt along orthonormal `directions` `(m, f)`."""
-    return matrix - (matrix @ directions) @ directions.T
 
 
 def impossible_rows(problem: IKProblem, allowed: float) -> tuple[str, ...]:
@@ -385,51 +276,22 @@ def _without_rounding(problem: IKProblem) -> tuple[IKProblem, tuple[str, ...], l
     return replaced(problem, levels=tuple(levels), rows=rows, equalities=equalities), tuple(zeros), numbers
 
 
-def _equal_block(level: Level, free: Array, rank_tolerance: float, settled: float, noise: float) -> EqualBlock:
-    # What is settled by rounding alone, not by the rank tolerance, is all that may be cut by the rule of rounding.
-    unsure = noise if rank_tolerance else max(noise, settled)
-    factors, unfelt, spectrum = level_decomposition(level, free, rank_tolerance, unsure)
-    weights = np.sqrt(level.weights)
-    q, root, order = pivoted_qr(weights[:, None] * factors.j_a)
-    felt = free @ factors.j_b[order].T
-    whitening = q.T * weights  # Qᵀ W^½
-    matrix = root @ felt.T
-    if free.shape[1] < len(free):  # what the levels above decide moves this one too
-        whole = whitening @ level.matrix
-        matrix = matrix + _without(whole, free)
-    blur = min(PROJECTION * EPS / float(spectrum.kept[-1]), UNSURE) if len(spectrum.kept) else 0.0
-    return EqualBlock(
-        free,
-        felt,
-        root,
-        divided(felt, root),
-        matrix,
-        whitening,
-        free @ unfelt,
-        max(settled, blur),
-        blur,
-        spectrum,
-        whitening @ level.target,
-        np.abs(whitening) @ np.abs(level.target),
-        np.abs(whitening) @ np.abs(level.matrix),
-        level.demand,
-    )
-
-
-def _kept(problem: IKProblem) -> tuple[Array, Array]:
-    """Return the shortest step that keeps equalities and frozen joints, and the directions that they leave free.
+def _kept(problem: IKProblem) -> Kept:
+    """Return what equalities and frozen joints keep.
 
     Rows that say the same to within `DEPENDENT` are kept in the sense of least squares.
     """
     m, bounds, equalities = problem.joint_count, problem.bounds, problem.equalities
     frozen = np.flatnonzero(bounds.lower == bounds.upper)
-    if not len(frozen) and not len(equalities.target):
-        return np.zeros(m), np.eye(m)
-    sizes = lengths(equalities.matrix)
-    matrix = np.vstack([np.eye(m)[frozen], equalities.matrix / sizes[:, None]])
-    target = np.concatenate([bounds.lower[frozen], equalities.target / sizes])
-    u, s, vt = np.linalg.svd(matrix, full_matrices=True)
+    unit = np.eye(m)
+    given = np.vstack([unit[frozen], equalities.matrix])
+    if not len(given):
+        return Kept(np.zeros(m), unit, given, given.T, np.inf)
+    sizes = lengths(given)
+    target = np.concatenate([bounds.lower[frozen], equalities.target])
+    u, s, vt = np.linalg.svd(given / sizes[:, None], full_matrices=True)
     p = int(np.count_nonzero(s > max(DEPENDENT, problem.noise) * s[0]))
-    start = vt[:p].T @ (u[:, :p].T @ target / s[:p])
+    answer = vt[:p].T @ (u[:, :p].T / s[:p, None]) / sizes
+    start = answer @ target
     start[frozen] = bounds.lower[frozen]
-    return start, vt[p:].T.copy()
+    return Kept(start, vt[p:].T.copy(), given, answer, float(s[p - 1]))

@@ -21,6 +21,7 @@ class LevelProof:
         carried: how much lower it could be by rounding, of its own or of those above, or if these were mended.
         demand: √(bᵀ W b), or its error √Q if that is more, what the gap is relative to, squared.
         displacement: what would still lower the level's cost without harm to those above `(m,)`, beyond rounding.
+        feigned: how long a displacement the rounding of doubles can feign.
         rounding: how long a displacement the rounding of the conditions' own terms explains.
         multipliers: λ `(r,)` of the pooled rows; zero for those that do not hold the level back.
         gradient: the level's, in scaled coordinates `(v,)`.
@@ -35,6 +36,7 @@ class LevelProof:
     carried: float
     demand: float
     displacement: Array
+    feigned: float
     rounding: float
     multipliers: Array
     gradient: Array

@@ -8,7 +8,8 @@ from typing import overload
 import numpy as np
 
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.solvers.hierarchy import EqualBlock, Hierarchy
+from prioritized_ik.solvers.blocks import EqualBlock
+from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.tolerances import ROUNDING
 from prioritized_ik.validation import Array
 

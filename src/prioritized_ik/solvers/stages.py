@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.problem import IKProblem, Level
-from prioritized_ik.solvers.hierarchy import HARD, EqualBlock, Hierarchy
+from prioritized_ik.solvers.blocks import HARD, EqualBlock
+from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.tolerances import EXCEEDED, FAR_SLACK
 from prioritized_ik.validation import Array, lengths
 

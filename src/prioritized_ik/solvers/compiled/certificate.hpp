@@ -23,7 +23,9 @@ class Certified : public Extended {
         carry(ids, t);
         Multipliers own(*this, ids, t);
         wrong_.clear();
-        blur_ = off_ = above_ = handed_ = 0.0;
+        off_ = above_ = handed_ = 0.0;
+        given_ = equalities_ ? 0.5 * tol_.EPS / equalities_weakest_ : 0.0;
+        blur_ = blur_as_given_ = equalities_ ? tol_.PROJECTION * tol_.EPS / equalities_weakest_ : 0.0;
         for (int l = 0; l <= now_.levels; l++) {
             while (own.known < t && level_of_[ids[own.known]] < l) own.known++;
             if (l < looked_at_ && levels_[l].is_soft && !counts_what_is_exceeded(levels_[l])) throw Declined{UNSETTLED};
@@ -155,7 +157,7 @@ class Certified : public Extended {
         // What rounding of doubles can feign is looked at with more digits; what it cannot is there.
         const double fine = tol_.MARGIN * tol_.CERTIFIED * scale_, sure = tol_.MARGIN * tol_.UNDECIDED * scale_;
         const bool is_unclear = look.excess > fine || look.explained > sure;
-        if ((closely_ && look.n) || (is_unclear && look.excess <= feigned(look))) look_closer(own, at, l, look);
+        if ((closely_ && look.n) || (is_unclear && look.excess <= feigned(look))) look_closer(own, at, l, g, look);
         const double *beyond = look.beyond, *rough = look.rough, excess = look.excess, explained = look.explained;
         const double follows = block ? g.strength * block->inverse_norm : 0.0;
         double sum = 0.0;
@@ -167,10 +169,13 @@ class Certified : public Extended {
         double gap = is_rounding ? 0.0 : room, apart = 0.0;
         const double rounded = dot(rough, rough, v) + (is_rounding ? room : 0.0);
         double* values = own.values + size_t(l) * own.t;
+        const Doubtful doubtful = doubtful_at(at, look);
         for (int i = 0; i < look.n; i++) {
             const int k = look.place[i];
             const double share = look.combination[i], pull = share / look.sizes[i], slack = abs(reach_[own.ids[k]]);
-            const bool counts = abs(share) > tol_.NOTHING * (g.terms + sum), back = i < look.held && pull < 0.0;
+            const bool is_more = abs(share) > tol_.NOTHING * (g.terms + sum + g.size);
+            const bool counts = is_more && doubtful.is_passed(abs(share), look.normals + size_t(i) * stride);
+            const bool back = i < look.held && pull < 0.0;
             gap += 2.0 * abs(pull) * (back ? own.leak[k] : slack);
             if (!counts) continue;
             values[k] = pull;
@@ -183,8 +188,8 @@ class Certified : public Extended {
         for (int i = look.held; i < look.n; i++)
             if (values[look.place[i]] > 0.0) own.leak[look.place[i]] = (gap + rounded) / values[look.place[i]];
 
-        const double drawn = off_ * (1.0 + follows), carried_over = max(above_, drawn);
-        above_ = max(above_, max(explained, apart));
+        const double drawn = off_ * (1.0 + follows), carried_over = max(max(above_ * (1.0 + follows), drawn), handed_);
+        above_ = max(carried_over, max(explained, apart));
         off_ = drawn + (excess > tol_.OFF * scale_ ? excess : 0.0);
         handed_ += excess;
         const double demand = max(last ? g.size : max(block->demand, block->asked), max(sqrt(g.cost), tol_.LEAST_DEMAND * g.size));
@@ -193,7 +198,12 @@ class Certified : public Extended {
         double steepness = g.steepness;  // rows follow what levels above move, too
         for (int i = 0; i < look.n; i++) steepness += 2.0 * abs(look.combination[i]) / look.sizes[i];
         figures[LEVEL_GAP] = gap + rounded + steepness * carried_over + moved * moved;
-        if (!last) blur_ = max(blur_, block->blur);
+        if (!last) {
+            given_ = max(given_, given(block));
+            blur_ = max(blur_, block->blur);
+            // What was cut is none, by decree, for the levels below.
+            blur_as_given_ = max(blur_as_given_, block->is_cut ? tol_.PROJECTION * tol_.EPS : block->blur);
+        }
         figures[RELATIVE_GAP] = gap > 0.0 && demand > 0.0 ? gap / (demand * demand) : 0.0;
         figures[STATIONARITY] = excess / scale_;
         figures[ROUNDING] = max(explained, max(apart, off_)) / scale_;
@@ -201,6 +211,35 @@ class Certified : public Extended {
         if (mends_) return pulls(own, at, look);
         if (excess <= tol_.CERTIFIED * scale_ && figures[RELATIVE_GAP] <= allowed) return true;
         return pulls(own, at, look);
+    }
+
+    // How large a multiplier half a unit in the last place of what is given can make.
+    struct Doubtful {
+        const Span at;
+        const double* sizes;  // of what the level feels, or null for ones
+        double felt, unfelt, most;  // how far coordinates can be off, a unit of their length; in any coordinate
+        bool is_passed(double share, const double* normal) const {
+            if (share > most) return true;
+            double allowed = 0.0;
+            for (int j = 0; j < at.rank; j++) allowed += abs(normal[j]) * (sizes ? felt * sizes[j] : felt);
+            for (int j = at.rank; j < at.all(); j++) allowed += abs(normal[j]) * unfelt;
+            return share > allowed;
+        }
+    };
+
+    // How far half a unit in the last place of a level's rows turns what it leaves.
+    double given(const Block* block) const {
+        return block && block->rank && !block->is_soft ? 0.5 * tol_.EPS / block->weakest : 0.0;
+    }
+
+    Doubtful doubtful_at(const Span& at, const Look& look) const {
+        double pulled = 0.0, longest = 1.0;
+        for (int i = 0; i < look.n; i++) pulled += abs(look.combination[i]) / look.sizes[i];
+        const Block* block = at.block;
+        const double own = max(given_, given(block));
+        if (block) longest = max(block->longest, look.far);
+        const double felt = given_ * pulled, unfelt = own * pulled * look.far;
+        return {at, block ? block->sizes : nullptr, felt, unfelt, sqrt(double(at.all())) * own * pulled * longest};
     }
 
     // In doubles; false if rows cannot balance the gradient, which shows early.
@@ -261,7 +300,8 @@ class Certified : public Extended {
         }
         for (int j = 0; j < v; j++) {
             const double size = j >= r ? far : block ? block->sizes[j] : 1.0;
-            rough[j] += blur_ * net * size;
+            // What rows and levels above take of the gradient is more than what they leave, and so is its rounding.
+            rough[j] += size * (blur_ * net + blur_as_given_ * 0.5 * g.steepness);
             beyond[j] = max(abs(rest[j]) - rough[j], 0.0);
             explained += size * size * rough[j] * rough[j];
         }
@@ -313,7 +353,7 @@ class Certified : public Extended {
 
     // The same with more digits, from the rows as they are given; says in `mends_` whether the step is off by so little
     // that it is to be mended. Nothing of soft levels.
-    void look_closer(const Multipliers& own, const Span& at, int level, Look& look) {
+    void look_closer(const Multipliers& own, const Span& at, int level, const Gradient& g, Look& look) {
         constexpr int TURNS = 2, IMPROVEMENTS = 4;
         const Block* block = at.block;
         const double most = feigned(look);
@@ -329,7 +369,7 @@ class Certified : public Extended {
         for (int j = r; j < v; j++) add(far, directions() + size_t(at.start + j) * stride, basis + size_t(j) * stride, stride);
         const Doubled exact = doubled(size_t(v) * stride);
         copy(basis, exact.high, size_t(v) * stride);
-        const double turn = leave_above(level, exact, v, blur_);
+        const auto [turn, turn_as_given] = leave_above(level, exact, v, blur_, blur_as_given_);
         for (int j = r; j < v; j++)
             for (int turn = 0; turn < TURNS; turn++) leave_unfelt(*block, rows, basis, exact.from(size_t(j) * stride));
 
@@ -366,18 +406,18 @@ class Certified : public Extended {
                 if (shares.high[i] != 0.0) add(shares[i], normals.from(size_t(i) * s), rest, v);
             for (int j = 0; j < v; j++) left[j] = rest[j].rounded();
         };
-        copy(combination, shares.high, n);
-        balance_exactly();
-        for (int again = 0; again < IMPROVEMENTS && correct(look.normals, n, v, left, combination, change); again++) {
-            for (int i = 0; i < n; i++) shares.set(i, shares[i] + DoubleDouble{change[i]});
-            balance_exactly();
-        }
-        bool is_signed = false;
-        for (int i = look.held; i < n; i++) is_signed = is_signed || shares.high[i] < 0.0;
-        if (is_signed) {  // what the improvement would take the wrong way
+        for (bool is_signed = true; is_signed;) {
             copy(combination, shares.high, n);
             clear(shares.low, n);
             balance_exactly();
+            for (int again = 0; again < IMPROVEMENTS && correct(look.normals, n, v, left, combination, change); again++) {
+                for (int i = 0; i < n; i++) shares.set(i, shares[i] + DoubleDouble{change[i]});
+                balance_exactly();
+            }
+            // A share that is rounding has any sign, and takes from the others as much: it is left out.
+            is_signed = false;
+            for (int i = look.held; i < n; i++)
+                if (shares.high[i] < 0.0) combination[i] = 0.0, is_signed = true;
         }
         copy(shares.high, combination, n);
 
@@ -390,7 +430,7 @@ class Certified : public Extended {
         double* step = arena_.zeros(stride);
         for (int j = 0; j < v; j++) {
             const double size = j >= r ? far : block ? block->sizes[j] : 1.0;
-            blur[j] += tol_.ROUNDING * FINER * net[j] + turn * pulled * size;
+            blur[j] += tol_.ROUNDING * FINER * net[j] + size * (turn * pulled + turn_as_given * 0.5 * g.steepness);
             look.beyond[j] = max(abs(left[j]) - blur[j], 0.0);
             explained += size * size * blur[j] * blur[j];
             add(-left[j], basis + size_t(j) * stride, step, stride);
@@ -516,7 +556,8 @@ class Certified : public Extended {
 
   private:
     std::vector<double> proof_;
-    double blur_ = 0.0, off_ = 0.0, above_ = 0.0, handed_ = 0.0;
+    // How far what levels above leave may be turned by rounding, for rows and for levels, and by half a unit of what is given.
+    double blur_ = 0.0, blur_as_given_ = 0.0, given_ = 0.0, off_ = 0.0, above_ = 0.0, handed_ = 0.0;
 };
 
 }  // namespace prioritized_ik

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <tuple>
+#include <utility>
 
 #include "double_double.hpp"
 #include "face.hpp"
@@ -94,23 +95,30 @@ class Extended : public Face {
     }
 
     // Takes from directions (v rows of stride) what equalities and the first `above` levels feel of them by rounding. Returns how
-    // far they still are from what these leave, as an angle: what half a unit in the last place of their rows makes, or if a
-    // level is cut by more than rounding all that may be, `blur`.
-    double leave_above(int above, Doubled x, int v, double blur) {
-        double given = 0.0;
+    // far they still are from what these leave, as angles: for rows, and for levels. Nothing is left but the rounding of this,
+    // once more rounded; where a metric rounded the rows, half a unit in their last place. If a level is cut by more than
+    // rounding, for rows all that may be, `blur`, and for levels, to which what was cut is none, `as_given`.
+    std::pair<double, double> leave_above(int above, Doubled x, int v, double blur, double as_given) {
+        double left = as_given * as_given;
+        bool is_cut = false;
         for (int j = 0; equalities_ && j < v; j++) leave_equalities(x.from(size_t(j) * stride));
+        if (equalities_) left = max(left, finest() / equalities_weakest_);
         for (int l = 0; l < above; l++) {
             const Block& block = levels_[l];
-            if (block.is_cut) given = INFINITE;
+            is_cut = is_cut || block.is_cut;
             if (!block.rank || block.is_soft || block.is_cut) continue;
-            given = max(given, 0.5 * tol_.EPS / block.weakest);
+            left = max(left, finest() / block.weakest);
             Scope scope(arena_);
             double* felt = arena_.zeros(size_t(block.rank) * stride);
             felt_of(block, felt);
             for (int j = 0; j < v; j++) leave_unfelt(block, block.row, felt, x.from(size_t(j) * stride));
         }
-        return min(blur, given);
+        left = min(as_given, left);
+        return {is_cut ? blur : left, is_cut ? as_given : left};
     }
+
+    // How far a row is from the one that was given, relative to its length, or is taken to be.
+    double finest() const { return is_rounded_ ? 0.5 * tol_.EPS : tol_.ROUNDING * FINER; }
 
     // The gradient of a level's cost along directions (r rows of stride), and what rounding can feign of it; of the last level's
     // without block.

@@ -74,7 +74,8 @@ class Factored : public Posed {
         double left;
         // Those that say what others say are kept with them, or else the certificate sees it.
         const int r = row_pivoted_lq(row, ids, n, rows_, 0, m_, stride, chain_, tol_.EMPTY, left, arena_);
-        if (!(lower_bound(row, r, 0) > tol_.WEAKEST)) throw Declined{EQUALITIES};
+        equalities_weakest_ = lower_bound(row, r, 0);
+        if (!(equalities_weakest_ > tol_.WEAKEST)) throw Declined{EQUALITIES};
         for (int i = 0; i < r; i++) begin_[i] = (equal_side_[ids[i]] - dot(row[i], begin_, i)) / row[i][i];
         return r;
     }
@@ -278,6 +279,7 @@ class Factored : public Posed {
     Reflectors chain_;
     int rest_ = 0, *place_ = nullptr;
     double lowest_ = 0.0, settled_ = 0.0, turned_ = 0.0, longest_ = 0.0, *begin_ = nullptr;
+    double equalities_weakest_ = 1.0;  // singular value, at least
 };
 
 }  // namespace prioritized_ik

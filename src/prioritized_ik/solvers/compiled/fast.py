@@ -129,7 +129,7 @@ def compiled_step(
     if isinstance(problem, PackedProblem) and is_flat:
         workspace, sizes = _packed(problem, rank_tolerance)
     else:
-        workspace, sizes = _filled(problem if is_flat else problem.in_metric, rank_tolerance)
+        workspace, sizes = _filled(problem if is_flat else problem.in_metric, rank_tolerance, rounded=not is_flat)
     _guess(rows, workspace)
     ending, used = workspace.solve(sizes, question)
     status = _STATUS.get(ending)
@@ -153,11 +153,11 @@ def compiled_step(
     return step
 
 
-def _filled(problem: IKProblem, rank_tolerance: float) -> tuple[Workspace, Sizes]:
-    """Return the workspace that a problem was written into, and its sizes."""
+def _filled(problem: IKProblem, rank_tolerance: float, *, rounded: bool) -> tuple[Workspace, Sizes]:
+    """Return the workspace that a problem was written into, and its sizes; see `Workspace.fill`."""
     sizes = Sizes.of(problem)
     workspace = workspace_for(sizes)
-    workspace.fill(problem, sizes, rank_tolerance)
+    workspace.fill(problem, sizes, rank_tolerance, rounded=rounded)
     workspace.name(problem)
     return workspace, sizes
 

@@ -61,6 +61,7 @@ class Posed {
         bool plain = true;
         for (int j = 0; j < m_; j++) plain = plain && root[j] == 1.0;
         double *matrix = io.matrix.data(), *rows = io.row_matrix.data(), *fixed = io.equality_matrix.data();
+        is_rounded_ = !plain || io.settings[2] != 0.0;
         if (!plain) {
             matrix = in_metric(matrix, now_.level_rows);
             rows = in_metric(rows, now_.rows);
@@ -255,7 +256,7 @@ class Posed {
     int looked_at_ = 0;  // levels, the others are left for later
     int all_ = 0, hard_ = 0, soft_ = 0, rows_ = 0, equalities_ = 0, frozen_ = 0;
     double noise_ = 0.0, rank_tolerance_ = 0.0, shortest_row_ = 0.0;
-    bool has_reference_ = false;
+    bool has_reference_ = false, is_rounded_ = false;  // is_rounded_: rows are not those given, but divided by a metric's root
     int *zero_ = nullptr, *level_of_ = nullptr;  // level_of_: of every inequality
     uint8_t* exceeded_ = nullptr;                // rows of soft levels that are not kept
     double *matrix_ = nullptr, *lengths_ = nullptr;  // of the levels

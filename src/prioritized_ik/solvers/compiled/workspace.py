@@ -90,7 +90,7 @@ class Workspace:
         self.row_matrix, self.row_upper = _reals(next(at), r, stride)[:, :m], _reals(next(at), r)
         self.equality_matrix, self.equality_target = _reals(next(at), e, stride)[:, :m], _reals(next(at), e)
         self.metric_root, self.reference = _reals(next(at), m), _reals(next(at), m)
-        self.settings = _reals(next(at), 2)
+        self.settings = _reals(next(at), 3)
         self.ends = _integers(next(at), levels)
         self.soft, self._guess = _flags(next(at), levels), _flags(next(at), every).data
         self.dtheta = _reals(next(at), m)
@@ -108,8 +108,8 @@ class Workspace:
         self._layout: Layout | None = None  # of the problem that was filled in, if it is packed,
         self._held: Array | None = None  # and the numbers that were read last
 
-    def fill(self, problem: IKProblem, sizes: Sizes, rank_tolerance: float) -> None:
-        """Write a problem that has room, whose metric is diagonal."""
+    def fill(self, problem: IKProblem, sizes: Sizes, rank_tolerance: float, *, rounded: bool = False) -> None:
+        """Write a problem that has room, whose metric is diagonal; `rounded` if its rows are not those that were given."""
         self._layout = None
         end = 0
         for number, level in enumerate(problem.levels):
@@ -134,6 +134,7 @@ class Workspace:
         self.reference[:] = problem.reference
         self.settings[0] = rank_tolerance
         self.settings[1] = problem.noise
+        self.settings[2] = rounded
 
     def is_of(self, layout: Layout) -> bool:
         """Whether the pattern of problems of a layout is filled in."""

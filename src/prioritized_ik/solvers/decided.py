@@ -1,0 +1,67 @@
+"""What equalities and levels decide, as they are given, with twice the digits of doubles.
+
+The directions that a level leaves are orthonormal to rounding, and its rows feel that. Where a level below hardly feels
+what decides it, or rows push hard, that rounding is more than what they ask for.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from prioritized_ik.solvers.double_double import DoubleDouble
+from prioritized_ik.tolerances import EPS, FINEST, TURNS
+from prioritized_ik.validation import Array
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Rows that decide directions.
+
+    Attributes:
+        matrix: A `(k, m)`, of any length.
+        answer: the steps `(m, k)` that answer what the rows lack.
+        weakest: the least singular value that counts, of rows of unit length; infinite if there are no rows.
+        is_rounded: whether the rows are not those that are given, but rounded once.
+    """
+
+    matrix: Array
+    answer: Array
+    weakest: float
+    is_rounded: bool
+
+    @property
+    def turn(self) -> float:
+        """How far off directions can still be that were turned to what the rows leave, as an angle."""
+        return (0.5 * EPS if self.is_rounded else 2.0 * len(self.answer) * FINEST) / self.weakest
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What equalities and frozen joints decide, then each level in order."""
+
+    decisions: tuple[Decision, ...]
+
+    def turn(self, count: int) -> float:
+        """Return how far off directions can still be that were turned to what the first so many leave, as an angle."""
+        return max((one.turn for one in self.decisions[:count]), default=0.0)
+
+    def given(self, count: int) -> float:
+        """Return how far half a unit in the last place of what is given turns what the first so many leave."""
+        return 0.5 * EPS / min((one.weakest for one in self.decisions[:count]), default=np.inf)
+
+    def left(self, basis: Array, count: int) -> DoubleDouble:
+        """Return `basis` `(m, v)` without what the first so many feel of it: rounding, where it is of directions below."""
+        exact = DoubleDouble.of(basis)
+        for one in self.decisions[:count]:
+            for _ in range(TURNS if one.answer.size else 0):
+                exact = exact - DoubleDouble.of(one.answer) @ (DoubleDouble.of(one.matrix) @ exact)
+        return exact
+
+    def less(self, rows: DoubleDouble, sizes: Array, combinations: Array, ways: Array, count: int) -> DoubleDouble:
+        """Return `rows` `(t, m)` of which combinations do not move along `ways` `(m, w)`, as the first so many leave them.
+
+        The `combinations` `(t, c)` are orthonormal and of rows of unit length; `sizes` `(t,)` are the rows' lengths.
+        """
+        left = self.left(ways, count)
+        moved = DoubleDouble.of((combinations / sizes[:, None]).T) @ (rows @ left)
+        return rows - DoubleDouble.of(combinations * sizes[:, None]) @ (moved @ left.T)
