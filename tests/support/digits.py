@@ -1,7 +1,10 @@
 """An oracle of 150 digits for problems on a kinematic tree: which rows a step may rest on; nothing shared with the library.
 
 Rows are worked out from axes, anchors and points as they are given, to the last bit, so that what depends on each other
-does so exactly: links keep their lengths. What rows of unit length feel by less than `ROUNDING` is rounding, and not felt.
+does so exactly: links keep their lengths. What rows of unit length feel by less than `ROUNDING` is rounding, and not felt:
+by as much, the levels below may move a level's rows, and what that leaves of a residual is not the level's to balance. Rows
+that differ by as little are one, and so are sides that differ by as little of what the step moves them: a level that misses
+no more is met, and holds nothing.
 """
 
 import decimal
@@ -68,28 +71,35 @@ class _Judge:
 
     def verdict(self, names: tuple[str, ...]) -> Verdict:
         active = [self._names.index(name) for name in names]
-        u = self._face(active)
+        u, missed = self._face(active)
         slack = self._upper - self._rows @ u
         others = np.delete(slack, active)
-        pulls = tuple(self._pulls(u, active))
+        pulls = tuple(self._pulls(u, missed, active))
         return Verdict(u.astype(float), float(min(others)), max((abs(float(slack[i])) for i in active), default=0.0), pulls)
 
-    def _face(self, active: list[int]) -> Vector:
+    def _face(self, active: list[int]) -> tuple[Vector, list[Vector]]:
+        """Return the optimum of the face, and what each level misses, before those below it move on."""
         rows, free = self._rows[active], self._eye
-        u = np.full(len(free), NONE)
+        u, missed = np.full(len(free), NONE), []
         for matrix, target in [(rows, self._upper[active]), *zip(self._matrices, self._targets, strict=True)]:
             felt, left = _parted(matrix, free)
             if len(felt):
                 u = u + felt.T @ _least_squares(matrix @ felt.T, target - matrix @ u)
             free = left
-        return u
+            missed.append(matrix @ u - target)
+        return u, missed[1:]
 
-    def _pulls(self, u: Vector, active: list[int]) -> Iterable[tuple[int, str]]:
+    def _pulls(self, u: Vector, missed: list[Vector], active: list[int]) -> Iterable[tuple[int, str]]:
         """Yield what pulls: multipliers of active rows balance each level's gradient in what the levels above leave."""
         free, held = self._eye, np.zeros(len(active), dtype=bool)
-        for number, (matrix, target) in enumerate(zip(self._matrices, self._targets, strict=True), 1):
-            gradient = matrix.T @ (matrix @ u - target)
-            size = max(_length(gradient), Decimal("1e-10") * _length(matrix.ravel()) * _length(target), Decimal("1e-300"))
+        levels = zip(self._matrices, self._targets, missed, strict=True)
+        for number, (matrix, target, missing) in enumerate(levels, 1):
+            strength = _length(matrix.ravel())
+            if _length(missing) <= Decimal(ROUNDING) * strength * _length(u):
+                free = _parted(matrix, free)[1]
+                continue
+            gradient = matrix.T @ missing
+            size = max(_length(gradient), Decimal("1e-10") * strength * _length(target), Decimal("1e-300"))
             found = _multipliers(free @ self._rows[active].T, -(free @ gradient) / size, held)
             for i in np.flatnonzero(~held & (found < -5.0 * FAINT)):
                 yield number, self._names[active[i]]
