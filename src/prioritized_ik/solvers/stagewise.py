@@ -2,8 +2,9 @@
 
 A stage is min ½‖y - t‖² over x = (y, z) with rows G x <= h, see `stages.py`. The method keeps a working set of independent
 rows, moves to the optimum of the face where they hold, adds the first row that blocks the way, and drops the row with the
-most negative multiplier; where no step is made it falls back to Bland's rule, which does not cycle. A start that breaks
-rows is made feasible first, by the same method on the excesses of these rows.
+most negative multiplier; where no step is made it falls back to Bland's rule, which does not cycle but by rounding: back at
+the same working set and the same x, it gives up. A start that breaks rows is made feasible first, by the same method on the
+excesses of these rows.
 
 Rows with a multiplier are fixed for the levels below, which changes nothing: by complementary slackness they hold at every
 optimum of the level. Rows that merely are tight stay inequalities, so that no geometry of wedges has to be decided.
@@ -108,7 +109,13 @@ def _primal_active_set(
     """
     r, x, working, idle = len(target), start, list[int](), 0
     n, v = rows.shape
+    visited = set[tuple[bytes, ...]]()
     for _ in range(ROUNDS * (n + v)):
+        if idle > IDLE:  # what is here before goes on as before
+            here = np.array(working).tobytes(), x.tobytes()
+            if here in visited:
+                return None
+            visited.add(here)
         q, triangle = scipy.linalg.qr(rows[working].T, check_finite=False) if working else (np.eye(v), np.zeros((v, 0)))
         k = len(working)
         null = q[:, k:]
