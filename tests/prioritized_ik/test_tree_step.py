@@ -4,7 +4,7 @@ import pickle
 import numpy as np
 import pytest
 from digits import judged
-from trees import ball_chain, random_problem, random_tree, rotation
+from trees import ball_chain, end_points, random_problem, random_tree, rotation
 
 from comparisons.bench import growth
 from prioritized_ik.errors import InputError
@@ -465,6 +465,43 @@ def test_the_oracle_of_digits_sees_a_row_too_few_and_one_too_many():
     assert not any(judged(problem, set(step.active_rows) - {name}).is_optimum for name in step.active_rows[:3])
     free = next(name for name in problem.bounds.names if not any(row.startswith(f"{name} ") for row in step.active_rows))
     assert not any(judged(problem, [*step.active_rows, f"{free} {side}"]).is_optimum for side in ("upper", "lower"))
+
+
+def _out_of_reach(seed: int, size: float = 1e-9) -> IKProblem:
+    """Return a problem whose level misses a millimetre whatever it does, and wants a step of `size` beside that [rad]."""
+    rng = np.random.default_rng(seed)
+    tree = ball_chain(rng, 8)
+    points, m = end_points(tree, rng), tree.joint_count
+    missed = rng.normal(scale=1e-3, size=len(points))
+    missed -= points.matrix @ np.linalg.lstsq(points.matrix, missed, rcond=1e-10)[0]
+    limits = np.where(rng.random(m) < 0.2, 0.3 * size, 1.0)
+    return IKProblem([TreeLevel(points, missed + points.matrix @ rng.normal(scale=size, size=m))], Bounds(-limits, limits))
+
+
+@pytest.mark.parametrize("seed", [770010, 770013, 770016, 770024])
+def test_a_step_is_proven_beside_what_a_level_misses_by_a_million_times_as_much(seed, monkeypatch):
+    problem = _out_of_reach(seed)
+    found = tree_step(problem, 0.0)
+    assert found is not None
+    step, _ = found
+    assert step.status is StepStatus.SOLVED
+    verdict = judged(problem, step.active_rows)
+    assert verdict.is_optimum
+    np.testing.assert_allclose(step.dtheta, verdict.u, atol=SAME * np.linalg.norm(verdict.u))
+    monkeypatch.setattr(Search, "_finely", lambda self, u, proof, active: (u, proof))
+    assert tree_step(problem, 0.0) is None  # doubles do not have the digits
+
+
+@pytest.mark.parametrize(("upper", "is_optimum"), [(1e-17, True), (1e-3, False)])
+def test_to_the_oracle_of_digits_a_limit_that_a_level_is_at_anyway_does_no_harm(upper, is_optimum):
+    rng = np.random.default_rng(770001)
+    tree = ball_chain(rng, 6)
+    points = end_points(tree, rng)
+    levels = [TreeLevel(points[:6], np.zeros(6)), TreeLevel(points[6:], np.full(len(points) - 6, 0.01))]
+    limits = np.where(np.arange(tree.joint_count) == 1, upper, 1.0)
+    problem = IKProblem(levels, Bounds(-np.ones(tree.joint_count), limits))
+    assert judged(problem, []).is_optimum
+    assert judged(problem, [f"{problem.bounds.names[1]} upper"]).is_optimum is is_optimum
 
 
 @pytest.mark.parametrize("first", [12, 24])

@@ -15,7 +15,7 @@ from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
 from prioritized_ik.solvers.tree.factors import HELD, Ending
 from prioritized_ik.solvers.tree.interior import guessed
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.tolerances import CERTIFIED, CUT_MARGIN, FLOOR, FREE, KEPT, NOISE, REFINEMENTS, ROUNDING
+from prioritized_ik.tolerances import CERTIFIED, CUT_MARGIN, FLOOR, FREE, KEPT, MARGIN, NOISE, REFINEMENTS, ROUNDING
 from prioritized_ik.validation import Array, length
 
 SHARE = 0.3  # [of the worst violation] what is broken by less is left for later
@@ -27,6 +27,7 @@ ANOTHER = 2.0  # [of the step] an optimum without a row is another one altogethe
 MORE = 120  # sets after that which change by one row
 BLOCKS = 200  # sets that change in blocks where that was in vain
 SINGLES = 3  # [of joints and rows] sets after that which change by one row
+ROUNDED_OFF = 1e-6  # [of the step] what a step is off by more is not looked at in extended precision
 REFINED = 1e-11  # [of the step] what a step is off by less is left
 LONG = 1e-3  # [of what levels ask for, by their strength]: steps this long are not short for what levels ask for
 
@@ -107,7 +108,7 @@ class Search:
         posed, factors, fixed = self.posed, self._factors, active.side != 0
         proof, before = TreeProof(posed, factors, u, active, scale), np.inf
         for _ in range(REFINEMENTS):
-            excess = max(level.excess for level in proof.levels)
+            excess = proof.excess
             if excess <= REFINED * scale or excess > 0.5 * before:
                 break
             before = excess
@@ -117,6 +118,25 @@ class Search:
             u = np.where(fixed, u, u + more)
             proof = TreeProof(posed, factors, u, active, scale)
         return u, proof
+
+    def _finely(self, u: Array, proof: TreeProof, active: ActiveSet) -> tuple[Array, TreeProof]:
+        """Return a face's step and its proof by gradients in extended precision, if its excess may be rounding.
+
+        Where levels miss far more than the step makes up for, doubles do not have the digits to show how far it is off.
+        What mends a level moves those below, along what they feel weakly: these come next.
+        """
+        scale = proof.scale
+        if not MARGIN * CERTIFIED * scale < proof.excess <= ROUNDED_OFF * scale:
+            return u, proof
+        best = u, proof
+        for _ in range(REFINEMENTS):
+            finer = TreeProof(self.posed, self._factors, u, active, scale, finely=True)
+            if finer.excess < best[1].excess:
+                best = u, finer
+            if finer.excess <= MARGIN * CERTIFIED * scale:
+                break
+            u = np.where(active.side != 0, u, u - finer.off)
+        return best
 
     def _told(self, u: Array, proof: TreeProof, active: ActiveSet) -> TreeProof:
         """Return the proof once bounds and rows that may hold the step, or pull, were let go, each by itself.
@@ -128,7 +148,7 @@ class Search:
         least = scale * max(CERTIFIED, TOLD * max(level.rounding for level in proof.levels) / scale)
         if unclear.count <= FEW and all(self._beyond(one, active, scale) > least for one in unclear.singly()):
             self._factor(active)
-            return TreeProof(self.posed, self._factors, u, active, scale, unclear)
+            return TreeProof(self.posed, self._factors, u, active, scale, unclear, finely=proof.finely)
         return proof
 
     def _beyond(self, one: ActiveSet, active: ActiveSet, scale: float) -> float:
@@ -196,7 +216,7 @@ class Search:
         scale = self._scale(u, active)
         if self._worst(u) < -FREE * scale:
             return None, u
-        u, proof = self._proven(u, active, scale)
+        u, proof = self._finely(*self._proven(u, active, scale), active)
         return (Found(u, proof, active, 0) if proof.holds_with_margin else None), u
 
     def optimum(self, active: ActiveSet) -> Found | None:
@@ -223,6 +243,8 @@ class Search:
             scale = self._scale(u, active)
             broken = self._broken(u, active, KEPT * scale)
             u, proof = self._proven(u, active, scale)
+            if not broken.count and not proof.levels[-1].pulls:
+                u, proof = self._finely(u, proof, active)
             last = proof.levels[-1]
             if not broken.count and not last.pulls:
                 if proof.is_unclear:
@@ -276,8 +298,9 @@ class Search:
                 u, active = self._towards(u, target, active, broken)
                 self._corrections += 1
                 continue
-            u = target
-            u, proof = self._proven(u, active, scale)
+            u, proof = self._proven(target, active, scale)
+            if not proof.levels[-1].pulls:
+                u, proof = self._finely(u, proof, active)
             if not proof.levels[-1].pulls:
                 return Found(u, proof, active, self._corrections) if proof.holds_with_margin else None
             # Back at a set, the row that was dropped there holds a level above by less than rounding shows: then the next.

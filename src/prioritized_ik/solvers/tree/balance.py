@@ -1,9 +1,11 @@
 """How far rows of the levels above, and what is fixed, balance a level's gradient at a step: what its proof is made of."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from prioritized_ik.kinematic_tree import PointRows, extended
 from prioritized_ik.solvers.tree.factors import HELD, Balance, Factors
 from prioritized_ik.validation import Array, length
 
@@ -76,3 +78,38 @@ def balance(
         of_bounds = of_bounds + sizes_of_torques(unsure)
         of_rows = float(unsure[rows.level == HELD].max(initial=0.0))
     return Balance(rest, pulls, off, of_bounds, float(decided @ decided), moved, astray, length(noise), feigned, of_rows)
+
+
+ROUNDS = 2  # by which multipliers balance a gradient: the second takes what rounding of the first leaves
+
+
+def finely(factors: Factors, found: Balance, level: int, gradient: Array, points: PointRows, off: Array) -> Balance:
+    """Return the balance with its rest, and what that could lower, in extended precision; what is uncertain stays so.
+
+    Multipliers may be doubles: any are multipliers, and what they leave of the gradient is worked out in more digits.
+
+    Args:
+        factors: of the face that the step is on.
+        found: the balance in doubles.
+        level: its number.
+        gradient: of the level's cost `(m,)`, in extended precision.
+        points: all rows in extended precision.
+        off: how far the step is off what the levels before would have `(m,)`.
+    """
+    rest, pulls = gradient, np.zeros(len(factors.rows.level))
+    for _ in range(ROUNDS):
+        for above in reversed(range(level)):
+            if factors.ranks[above]:
+                own = -factors.pulls(above, factors.whitened(above, factors.parts(rest.astype(float))[above]))
+                rest = rest + points.transposed_times(extended(own) * factors.rows.roots)
+                pulls += own
+    is_last, rounded = level == factors.rows.last, rest.astype(float)
+    parts = factors.parts(rounded)
+    decided = parts[-1] if is_last else factors.whitened(level, parts[level])
+    moved = length(decided)
+    if not is_last:
+        displacement = factors.displacement(level, decided)
+        off, moved = off + displacement, length(displacement)
+    others = parts[:-1] if is_last else [*parts[:level], *parts[level + 1 :]]
+    astray = length(np.array([length(part) for part in others]))
+    return replace(found, rest=rounded, pulls=pulls, off=off, lower=float(decided @ decided), moved=moved, astray=astray)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.solvers.certificate import FAR, Certificate
+from prioritized_ik.solvers.tree.balance import finely
 from prioritized_ik.solvers.tree.factors import Factors
 from prioritized_ik.solvers.tree.posed import PosedOnTree
 from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAST_DEMAND, MARGIN, NEARLY, NOISE, ROUNDING, UNDECIDED, UNFELT
@@ -109,12 +110,22 @@ class TreeProof:
     Attributes:
         active: what the step rests on.
         scale: length that relative figures refer to.
+        finely: whether gradients and what multipliers leave of them are worked out in extended precision.
         levels: one proof a level, the last level's last; they end with the first that pulls.
     """
 
     def __init__(
-        self, posed: PosedOnTree, factors: Factors, u: Array, active: ActiveSet, scale: float, sure: ActiveSet | None = None
+        self,
+        posed: PosedOnTree,
+        factors: Factors,
+        u: Array,
+        active: ActiveSet,
+        scale: float,
+        sure: ActiveSet | None = None,
+        *,
+        finely: bool = False,
     ) -> None:
+        self.finely = finely
         self._posed, self._factors, self._u, self.active, self.scale = posed, factors, u, active, scale
         m, c = len(u), len(active.held)
         self._frozen = posed.lower == posed.upper
@@ -150,6 +161,8 @@ class TreeProof:
             demand = max(posed.demand(number), cost, LEAST_DEMAND * strength * self.scale)
             sizes = np.where(posed.level == number, sizes, 0.0)
         found = factors.balance(number, given, sizes, ROUNDED, self._off, is_held=self._is_held)
+        if self.finely:
+            found = finely(factors, found, number, posed.fine_gradient(number, u), posed.fine_rows, self._off)
         self._off = found.off
         # Along what a level does not feel its gradient is nothing but rounding: more is a rank gone wrong. So is what its
         # multipliers leave along what levels above decide: more is a multiplier gone wrong.
@@ -227,6 +240,16 @@ class TreeProof:
         posed, u = self._posed, self._u
         over = max(float((u - posed.upper).max(initial=0.0)), float((posed.lower - u).max(initial=0.0)))
         return max(over, float(-self._slack.min(initial=0.0)))
+
+    @property
+    def off(self) -> Array:
+        """How far the step is off what the levels would have, as their gradients show `(m,)`."""
+        return self._off
+
+    @property
+    def excess(self) -> float:
+        """The largest displacement that would still lower a level's cost."""
+        return max(level.excess for level in self.levels)
 
     @cached_property
     def certificate(self) -> Certificate:

@@ -4,7 +4,7 @@ from functools import cached_property
 
 import numpy as np
 
-from prioritized_ik.kinematic_tree import BASE, PointRows
+from prioritized_ik.kinematic_tree import BASE, PointRows, extended
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.solvers.compiled.tree import CompiledElimination
@@ -131,6 +131,20 @@ class PosedOnTree:
     def missing(self, u: Array) -> Array:
         """Return what each row lacks at `u`, weighted `(k,)`."""
         return self.sides - self.roots * self.motions(u)
+
+    def fine_gradient(self, number: int, u: Array) -> Array:
+        """Return the gradient of a level's cost, or of the last level's, at `u` `(m,)` in extended precision."""
+        u = extended(u)
+        if number == len(self.parts):
+            return u - self.reference
+        part = self.parts[number]
+        missing = extended(self.targets[part]) - self.fine_rows[part].times(u)
+        return -self.fine_rows[part].transposed_times(missing * np.where(self.roots[part] > 0.0, self._weights[part], 0.0))
+
+    @cached_property
+    def fine_rows(self) -> PointRows:
+        """All rows' motions, in extended precision."""
+        return self.rows.in_extended_precision()
 
     def demand(self, number: int) -> float:
         """Return the length of what a level asks for; levels are numbered from 1."""
