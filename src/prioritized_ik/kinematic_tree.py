@@ -8,7 +8,6 @@ only when asked for. Everything is in the world's frame, and everything is free 
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -185,12 +184,6 @@ class PointRows:
         """Return some of the rows."""
         return PointRows.trusted(self.tree, self.joints[chosen], self.points[chosen], self.directions[chosen])
 
-    def in_extended_precision(self) -> "PointRows":
-        """Return the same rows, whose products with values in extended precision are so."""
-        tree = self.tree
-        finer = tree.moved_to(extended(tree.angular), extended(tree.linear), extended(tree.anchors))
-        return PointRows.trusted(finer, self.joints, extended(self.points), extended(self.directions))
-
     def on(self, tree: KinematicTree) -> "PointRows":
         """Return the same rows on a tree of the same joints, see `KinematicTree.scaled`."""
         return PointRows.trusted(tree, self.joints, self.points, self.directions)
@@ -215,12 +208,9 @@ class PointRows:
             return np.zeros(m)
         joints = self.joints[moved]
         wrench = np.concatenate([self.moments, self.directions], axis=1)[moved] * values[moved, None]
-        sums = np.zeros((m, 6), dtype=wrench.dtype)
-        if wrench.dtype == float:
-            for k in range(6):
-                sums[:, k] = np.bincount(joints, wrench[:, k], minlength=m)
-        else:  # `bincount` rounds to doubles
-            np.add.at(sums, joints, wrench)
+        sums = np.zeros((m, 6))
+        for k in range(6):
+            sums[:, k] = np.bincount(joints, wrench[:, k], minlength=m)
         return self.tree.torques(sums[:, :3], sums[:, 3:])
 
     def sizes_of_terms(self, dtheta: Array) -> Array:
@@ -250,11 +240,6 @@ class PointRows:
         matrix = np.einsum("rk,rjk->rj", self.directions, turned + tree.linear[None])
         matrix[~tree.moving(joints)[where]] = 0.0
         return read_only(matrix)
-
-
-def extended(values: Array) -> Array:
-    """Return values in extended precision, where the machine has it."""
-    return cast(Array, values.astype(np.longdouble))
 
 
 def length_of(rows: Array) -> Array:

@@ -9,6 +9,7 @@
     factors.py       what such a factorisation is asked for
     balance.py       how far levels above, bounds and rows balance a level's gradient
     certificate.py   the proof of a step, from products with J and Jᵀ
+    fine_rows.py     these with twice the digits, where gradients nearly cancel
     active_set.py    from a guess of the active rows to those of the optimum
     damped.py        least squares of rows and joints together, by one sweep
     interior.py      a guess by an interior point, made of these

@@ -27,7 +27,7 @@ ANOTHER = 2.0  # [of the step] an optimum without a row is another one altogethe
 MORE = 120  # sets after that which change by one row
 BLOCKS = 200  # sets that change in blocks where that was in vain
 SINGLES = 3  # [of joints and rows] sets after that which change by one row
-ROUNDED_OFF = 1e-6  # [of the step] what a step is off by more is not looked at in extended precision
+ROUNDED_OFF = 1e-6  # [of the step] what a step is off by more is not looked at with more digits
 REFINED = 1e-11  # [of the step] what a step is off by less is left
 LONG = 1e-3  # [of what levels ask for, by their strength]: steps this long are not short for what levels ask for
 
@@ -120,7 +120,7 @@ class Search:
         return u, proof
 
     def _finely(self, u: Array, proof: TreeProof, active: ActiveSet) -> tuple[Array, TreeProof]:
-        """Return a face's step and its proof by gradients in extended precision, if its excess may be rounding.
+        """Return a face's step and its proof by gradients with twice the digits, if its excess may be rounding.
 
         Where levels miss far more than the step makes up for, doubles do not have the digits to show how far it is off.
         What mends a level moves those below, along what they feel weakly: these come next.

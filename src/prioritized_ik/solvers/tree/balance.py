@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from prioritized_ik.kinematic_tree import PointRows, extended
 from prioritized_ik.solvers.tree.factors import HELD, Balance, Factors
 from prioritized_ik.validation import Array, length
 
@@ -80,31 +79,24 @@ def balance(
     return Balance(rest, pulls, off, of_bounds, float(decided @ decided), moved, astray, length(noise), feigned, of_rows)
 
 
-ROUNDS = 2  # by which multipliers balance a gradient: the second takes what rounding of the first leaves
+def finely(factors: Factors, found: Balance, level: int, rest: Array, off: Array) -> Balance:
+    """Return the balance with a rest of more digits, and what that could lower; what is uncertain stays so.
 
-
-def finely(factors: Factors, found: Balance, level: int, gradient: Array, points: PointRows, off: Array) -> Balance:
-    """Return the balance with its rest, and what that could lower, in extended precision; what is uncertain stays so.
-
-    Multipliers may be doubles: any are multipliers, and what they leave of the gradient is worked out in more digits.
+    The multipliers are those found, and those that balance what their rounding leaves.
 
     Args:
         factors: of the face that the step is on.
         found: the balance in doubles.
         level: its number.
-        gradient: of the level's cost `(m,)`, in extended precision.
-        points: all rows in extended precision.
+        rest: what the multipliers found leave of the level's gradient `(m,)`, worked out with twice the digits.
         off: how far the step is off what the levels before would have `(m,)`.
     """
-    rest, pulls = gradient, np.zeros(len(factors.rows.level))
-    for _ in range(ROUNDS):
-        for above in reversed(range(level)):
-            if factors.ranks[above]:
-                own = -factors.pulls(above, factors.whitened(above, factors.parts(rest.astype(float))[above]))
-                rest = rest + points.transposed_times(extended(own) * factors.rows.roots)
-                pulls += own
-    is_last, rounded = level == factors.rows.last, rest.astype(float)
-    parts = factors.parts(rounded)
+    rows, pulls = factors.rows, found.pulls
+    for above in reversed(range(level)):
+        if factors.ranks[above]:
+            own = -factors.pulls(above, factors.whitened(above, factors.parts(rest)[above]))
+            rest, pulls = rest + rows.points.transposed_times(own * rows.roots), pulls + own
+    is_last, parts = level == rows.last, factors.parts(rest)
     decided = parts[-1] if is_last else factors.whitened(level, parts[level])
     moved = length(decided)
     if not is_last:
@@ -112,4 +104,4 @@ def finely(factors: Factors, found: Balance, level: int, gradient: Array, points
         off, moved = off + displacement, length(displacement)
     others = parts[:-1] if is_last else [*parts[:level], *parts[level + 1 :]]
     astray = length(np.array([length(part) for part in others]))
-    return replace(found, rest=rounded, pulls=pulls, off=off, lower=float(decided @ decided), moved=moved, astray=astray)
+    return replace(found, rest=rest, pulls=pulls, off=off, lower=float(decided @ decided), moved=moved, astray=astray)

@@ -110,7 +110,7 @@ class TreeProof:
     Attributes:
         active: what the step rests on.
         scale: length that relative figures refer to.
-        finely: whether gradients and what multipliers leave of them are worked out in extended precision.
+        finely: whether gradients and what multipliers leave of them are worked out with twice the digits of doubles.
         levels: one proof a level, the last level's last; they end with the first that pulls.
     """
 
@@ -162,7 +162,7 @@ class TreeProof:
             sizes = np.where(posed.level == number, sizes, 0.0)
         found = factors.balance(number, given, sizes, ROUNDED, self._off, is_held=self._is_held)
         if self.finely:
-            found = finely(factors, found, number, posed.fine_gradient(number, u), posed.fine_rows, self._off)
+            found = finely(factors, found, number, posed.fine_gradient(number, u, found.pulls), self._off)
         self._off = found.off
         # Along what a level does not feel its gradient is nothing but rounding: more is a rank gone wrong. So is what its
         # multipliers leave along what levels above decide: more is a multiplier gone wrong.

@@ -4,12 +4,14 @@ from functools import cached_property
 
 import numpy as np
 
-from prioritized_ik.kinematic_tree import BASE, PointRows, extended
+from prioritized_ik.kinematic_tree import BASE, PointRows
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.solvers.compiled.tree import CompiledElimination
+from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.solvers.tree.elimination import Elimination
 from prioritized_ik.solvers.tree.factors import Factors, TreeRowsOnJoints
+from prioritized_ik.solvers.tree.fine_rows import FineRows
 from prioritized_ik.tolerances import NOISE, TREE_ZERO
 from prioritized_ik.tree_problem import TreeLevel, TreeRows, tree_of
 from prioritized_ik.validation import Array, length
@@ -52,6 +54,7 @@ class PosedOnTree:
         self.zero = zero
         self._moved_by: Array | None = None
         self._motions = self._terms = np.zeros(0)
+        self._finely_moved: tuple[Array | None, DoubleDouble] = None, DoubleDouble.of(np.zeros(0))
         tree = tree_of(problem)
         assert tree is not None
         root = problem.metric_root
@@ -132,19 +135,26 @@ class PosedOnTree:
         """Return what each row lacks at `u`, weighted `(k,)`."""
         return self.sides - self.roots * self.motions(u)
 
-    def fine_gradient(self, number: int, u: Array) -> Array:
-        """Return the gradient of a level's cost, or of the last level's, at `u` `(m,)` in extended precision."""
-        u = extended(u)
+    def fine_gradient(self, number: int, u: Array, pulls: Array) -> Array:
+        """Return the gradient of a level's cost, or of the last level's, and what `pulls` `(k,)` of rows add to it, `(m,)`.
+
+        At `u` `(m,)`, worked out with twice the digits of doubles and rounded.
+        """
+        values = DoubleDouble.of(pulls).times(self.roots)
         if number == len(self.parts):
-            return u - self.reference
-        part = self.parts[number]
-        missing = extended(self.targets[part]) - self.fine_rows[part].times(u)
-        return -self.fine_rows[part].transposed_times(missing * np.where(self.roots[part] > 0.0, self._weights[part], 0.0))
+            own = DoubleDouble.of(u) - DoubleDouble.of(self.reference)
+            return (own + self.fine_rows.transposed_times(values)).rounded
+        own_rows = self.level == number
+        if self._finely_moved[0] is not u:
+            self._finely_moved = u, self.fine_rows.times(u)
+        missing = DoubleDouble.of(np.where(own_rows, self.targets, 0.0)) - self._finely_moved[1].where(own_rows)
+        weights = np.where(self.roots > 0.0, self._weights, 0.0)
+        return self.fine_rows.transposed_times(values - missing.times(weights)).rounded
 
     @cached_property
-    def fine_rows(self) -> PointRows:
-        """All rows' motions, in extended precision."""
-        return self.rows.in_extended_precision()
+    def fine_rows(self) -> FineRows:
+        """All rows' motions, with twice the digits."""
+        return FineRows(self.rows)
 
     def demand(self, number: int) -> float:
         """Return the length of what a level asks for; levels are numbered from 1."""
