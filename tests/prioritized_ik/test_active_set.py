@@ -22,9 +22,12 @@ from prioritized_ik.solvers.blocks import HARD
 from prioritized_ik.solvers.certificate import Proof, certify
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import Hierarchy
+from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.stagewise import stagewise
 from prioritized_ik.tolerances import CERTIFIED, GUESS, UNDECIDED
+from prioritized_ik.winding.episode import wind
+from prioritized_ik.winding.settings import WindingSettings
 
 CUT = 1e-7  # the planted problems' rank tolerance
 
@@ -476,3 +479,21 @@ def test_a_guess_that_is_far_off_leads_to_the_optimum_of_many_rows_too(seed: int
     solution = active_set.solve(hierarchy, guess, hierarchy.start)
     assert solution.converged
     assert solution.iterations > active_set.ITERATIONS  # as many as for few rows would not do
+
+
+@pytest.mark.parametrize(("weights", "first"), [("eq23", 70), ("eq24", 372)])
+def test_from_odd_rows_no_other_step_is_certified_where_a_row_hardly_moves_what_is_left(weights, first):
+    """A row that moves 1e-9 of itself in what a level leaves holds the level only until another row is in the way."""
+    rng, seen = np.random.default_rng(first), 0
+    problems = list(wind(WindingSettings(direction="up", weights=weights)).problems())
+    for problem in problems[first : first + 10]:
+        hierarchy = Hierarchy(problem, RANK_TOLERANCE)
+        step = get_method("active-set").step(problem, SolveOptions(rank_tolerance=RANK_TOLERANCE))
+        right = np.isin(hierarchy.rows.names, step.active_rows)
+        for wrong in (0.01, 0.02, 0.05):
+            found = active_set.solve(hierarchy, right ^ (rng.random(len(right)) < wrong), hierarchy.start)
+            if found.converged:
+                seen += 1
+                allowed = 1e-7 + found.proof.certificate.variation + step.certificate.variation
+                assert np.linalg.norm(found.u - step.dtheta) <= allowed * np.linalg.norm(step.dtheta)
+    assert seen > 10

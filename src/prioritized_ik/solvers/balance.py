@@ -82,9 +82,14 @@ class Balance:
     rest: Array
     rounding: Array
 
+    @property
+    def pulled(self) -> float:
+        """What rows of unit length pull, together."""
+        return float(np.abs(self.multipliers / self.sizes).sum())
+
     def turned(self, sizes: Array, turns: Array) -> Array:
         """Return the rounding `(v,)` where coordinates of such `sizes` can be off by such angles."""
-        return self.rounding + sizes * turns * float(np.abs(self.multipliers / self.sizes).sum())
+        return self.rounding + sizes * turns * self.pulled
 
 
 @dataclass(frozen=True)
@@ -99,6 +104,7 @@ class Look:
         rounding: what rounding can feign of the rest `(v,)`.
         doubtful: how large a multiplier of each row can be that says nothing of a problem of other last digits `(t,)`.
         explained: how long a step that rounding can feign, strong rows in weak directions included.
+        blur: how much of the gradient can be rounding of the step itself.
         feigned: how long a step rounding of doubles can feign.
         size: of the terms whose difference the gradient is.
     """
@@ -110,6 +116,7 @@ class Look:
     rounding: Array
     doubtful: Array
     explained: float
+    blur: float
     feigned: float
     size: float
 
@@ -123,6 +130,18 @@ class Look:
     def displacement(self) -> Array:
         """That, as a step `(m,)`."""
         return -(self.basis @ self.beyond)
+
+    def falls(self, felt: int, carrying: NDArray[np.bool_], given: float) -> bool:
+        """Whether the level's cost falls along what it does not feel, all but the first `felt` coordinates.
+
+        `carrying` rows `(t,)` that hardly move there hold the level only until another one is in the way. What rounding of
+        the step, or half a unit in the last place of what is `given`, makes of their multipliers, is none.
+        """
+        normals, rest = np.abs(self.balance.normals), length(self.beyond[felt:])
+        seen, unseen = lengths(normals[:, :felt]), lengths(normals[:, felt:])
+        used = carrying & (seen > 0.0)
+        share = float((unseen[used] / seen[used]).max(initial=0.0))
+        return bool(used.any()) and rest > self.blur * share + length(self.sizes[felt:]) * given * self.balance.pulled
 
 
 def balanced(rows: Array, basis: Array, gradient: Array, held: NDArray[np.bool_], little: Array, noise: float) -> Balance:

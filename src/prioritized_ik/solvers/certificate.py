@@ -74,9 +74,9 @@ class Certificate:
     def variation(self) -> float:
         """How far dθ may be from the one optimum, relative to the step: by rounding, or what room pushing rows have.
 
-        The last level's cost is ‖dθ - r‖² itself, so what it could be lower by tells too.
+        The last level's cost is ‖dθ - r‖² itself: a step that costs so much less is no further away than its root.
         """
-        return max(*self.rounding, self.relative_gaps[-1])
+        return max(*self.rounding, math.sqrt(self.relative_gaps[-1]))
 
     @property
     def holds(self) -> bool:
@@ -197,6 +197,8 @@ class Proof:
             else:
                 free = shortfall.felt.unfelt
                 self._looks.passed(block, number)
+            # Rows that hold a level hold it by themselves: what they leave together is not for others to tell.
+            self._looks.settle(np.flatnonzero(np.isfinite(self._leak)), free, number)
         reference = hierarchy.problem.reference
         terms = np.abs(free.T) @ (np.abs(u) + np.abs(reference))
         size = length(u) + length(reference)
@@ -233,13 +235,15 @@ class Proof:
         slack = np.abs(self.slack[near])
         back = held & (net < 0.0)
         # Weak duality, see above. Along what it does not feel a level's cost falls as far as steps of this size go.
-        gap = 2.0 * float(np.abs(pull) @ np.where(back, np.minimum(self._leak[near], FAR), slack))
+        apart = slack > ROUNDING * self.scale  # the others are on their rows but for the rounding of the step itself
+        gap = 2.0 * float(np.abs(pull) @ np.where(back, np.minimum(self._leak[near], FAR), np.where(apart, slack, 0.0)))
         lower = float(look.beyond @ look.beyond) + 2.0 * length((look.beyond / look.sizes)[felt.shape[1] :]) * self.scale
         excess, rounding = length(look.displacement), float(look.rounding @ look.rounding)
+        mended = 0.0  # by a displacement that is rounding of the step
         if excess > OFF * self.scale:
             gap += lower
         else:
-            excess, rounding = 0.0, rounding + lower
+            excess, mended = 0.0, lower
         multipliers = np.zeros(len(self.slack))
         multipliers[near] = np.where(counts, pull, 0.0)
         first = near[~held & (multipliers[near] > 0.0)]
@@ -247,6 +251,8 @@ class Proof:
         carrying = counts & ~back
         loosened = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free)
         self._loose = max(self._loose, self._evaded(near[carrying], look, shortfall.felt))
+        if look.falls(felt.shape[1], carrying, self._hierarchy.decided.given(2 + number)):
+            loosened = max(loosened, self.scale)  # until a row is in the way, which may be as far as that
         # What a level above is off by, those below follow, and the more the weaker they are.
         answers = felt @ (felt.T @ (level.matrix.T * level.weights))  # what the level does about what its rows lack
         drawn, above = (off * (1.0 + float(np.linalg.norm(answers @ level.matrix))) for off in (self._off, self._above))
@@ -254,6 +260,7 @@ class Proof:
         moved = level.matrix @ self._handed
         handed = 2.0 * abs(float((level.weights * level.residual(self._u)) @ moved)) + float(level.weights @ moved**2)
         handed += 2.0 * float(np.abs(pull) @ np.abs(self._looks.rows[near] @ self._handed))  # rows follow, too
+        handed += 2.0 * float(np.abs(pull) @ np.where(apart, 0.0, slack)) + mended
         # The level follows what mends those above, and has its own to mend.
         self._handed = self._handed - answers @ moved + look.displacement
         self._above = max(above, look.explained, loosened)

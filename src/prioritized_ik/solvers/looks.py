@@ -40,6 +40,8 @@ class Looks:
 
         Two rows that say the same of what is left, but for that little, are one row there.
         """
+        if not len(near) or not unfelt.shape[1]:
+            return
         combinations, strengths, directions = np.linalg.svd(self.rows[near] @ unfelt, full_matrices=False)
         few = strengths <= self._hierarchy.least(unfelt.shape[1])
         if few.any():
@@ -77,7 +79,9 @@ class Looks:
         rounding = blur + balance.turned(sizes, turns) + 0.5 * steepness * turn_as_given * sizes
         feigned = max(float(np.linalg.norm(sizes * rounding)), leaks)
         doubtful = self._doubtful(balance, sizes, number, felt.shape[1])
-        look = Look(balance, gradient, basis, sizes, rounding, doubtful, feigned, feigned, length(shortfall.terms))
+        look = Look(
+            balance, gradient, basis, sizes, rounding, doubtful, feigned, length(blur), feigned, length(shortfall.terms)
+        )
         off = max(feigned / UNDECIDED, length(look.displacement) / self._tolerance, leaks / LEAKS)
         if noise > NOISE or off <= self._scale:  # more digits of data that are off in the seventh tell nothing
             return look
@@ -99,7 +103,7 @@ class Looks:
         turns, turn_as_given = self._turns(number, felt, len(sizes), closer=True)
         directions = self._hierarchy.decided.left(basis, 1 + number)
         rounded, blur = _in_doubles(shortfall, sizes, ROUNDING)
-        gradient = DoubleDouble.of(rounded)
+        of_step, gradient = length(blur), DoubleDouble.of(rounded)
         if not level.is_soft:
             solved = self._hierarchy.cut_problem.levels[number] if self._hierarchy.is_cut(number) else level
             own, blur[:felt] = exact_gradient(solved, directions[:, :felt], self._u)
@@ -109,7 +113,8 @@ class Looks:
         balance = exactly_balanced(self._exact_rows(near), directions, lacking, held, sizes * turns)
         rounding = blur + balance.turned(sizes, turns) + 0.5 * steepness * turn_as_given * sizes
         doubtful, explained = self._doubtful(balance, sizes, number, felt), float(np.linalg.norm(sizes * rounding))
-        return Look(balance, gradient.high, basis, sizes, rounding, doubtful, explained, feigned, length(shortfall.terms))
+        size = length(shortfall.terms)
+        return Look(balance, gradient.high, basis, sizes, rounding, doubtful, explained, of_step, feigned, size)
 
     def _doubtful(self, balance: Balance, sizes: Array, number: int, felt: int) -> Array:
         """Return how large a multiplier of each row `(t,)` half a unit in the last place of what is given can make."""

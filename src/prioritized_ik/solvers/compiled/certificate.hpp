@@ -156,7 +156,7 @@ class Certified : public Extended {
         if (!look_at(own, at, g, look)) return pulls(own, at, look);
         // What rounding of doubles can feign is looked at with more digits; what it cannot is there.
         const double fine = tol_.MARGIN * tol_.CERTIFIED * scale_, sure = tol_.MARGIN * tol_.UNDECIDED * scale_;
-        const bool is_unclear = look.excess > fine || look.explained > sure;
+        const bool is_unclear = look.excess > fine || look.explained > sure || falls(at, g, look);
         if ((closely_ && look.n) || (is_unclear && look.excess <= feigned(look))) look_closer(own, at, l, g, look);
         const double *beyond = look.beyond, *rough = look.rough, excess = look.excess, explained = look.explained;
         const double follows = block ? g.strength * block->inverse_norm : 0.0;
@@ -166,8 +166,9 @@ class Certified : public Extended {
         // Weak duality.
         const double room = dot(beyond, beyond, v) + 2.0 * norm(beyond + r, below) / look.far * scale_;
         const bool is_rounding = excess <= tol_.OFF * scale_;
-        double gap = is_rounding ? 0.0 : room, apart = 0.0;
-        const double rounded = dot(rough, rough, v) + (is_rounding ? room : 0.0);
+        double gap = is_rounding ? 0.0 : room, apart = 0.0, touching = is_rounding ? room : 0.0;
+        bool carries = false;
+        const double rounded = dot(rough, rough, v);
         double* values = own.values + size_t(l) * own.t;
         const Doubtful doubtful = doubtful_at(at, look);
         for (int i = 0; i < look.n; i++) {
@@ -176,15 +177,19 @@ class Certified : public Extended {
             const bool is_more = abs(share) > tol_.NOTHING * (g.terms + sum + g.size);
             const bool counts = is_more && doubtful.is_passed(abs(share), look.normals + size_t(i) * stride);
             const bool back = i < look.held && pull < 0.0;
-            gap += 2.0 * abs(pull) * (back ? own.leak[k] : slack);
+            // Nearer than the rounding of the step itself it is on the row.
+            if (back || slack > tol_.ROUNDING * scale_) gap += 2.0 * abs(pull) * (back ? own.leak[k] : slack);
+            else touching += 2.0 * abs(pull) * slack;
             if (!counts) continue;
             values[k] = pull;
             if (!back) {
+                carries = true;
                 const int from = below && norm(own.row[k] + c + r, below) > settled_ ? c + r : c;
                 apart += (slack + handed_) / norm(own.row[k] + from, m_ - from);
                 if (slack > tol_.ROUNDING * scale_ / tol_.MARGIN) apart = INFINITE;
             }
         }
+        if (carries && falls(at, g, look)) apart = max(apart, scale_);
         for (int i = look.held; i < look.n; i++)
             if (values[look.place[i]] > 0.0) own.leak[look.place[i]] = (gap + rounded) / values[look.place[i]];
 
@@ -197,7 +202,7 @@ class Certified : public Extended {
         const double moved = g.strength * carried_over;
         double steepness = g.steepness;  // rows follow what levels above move, too
         for (int i = 0; i < look.n; i++) steepness += 2.0 * abs(look.combination[i]) / look.sizes[i];
-        figures[LEVEL_GAP] = gap + rounded + steepness * carried_over + moved * moved;
+        figures[LEVEL_GAP] = gap + rounded + touching + steepness * carried_over + moved * moved;
         if (!last) {
             given_ = max(given_, given(block));
             blur_ = max(blur_, block->blur);
@@ -207,7 +212,7 @@ class Certified : public Extended {
         figures[RELATIVE_GAP] = gap > 0.0 && demand > 0.0 ? gap / (demand * demand) : 0.0;
         figures[STATIONARITY] = excess / scale_;
         figures[ROUNDING] = max(explained, max(apart, off_)) / scale_;
-        const double allowed = last ? tol_.UNDECIDED : tol_.GAP;  // as in Certificate.holds
+        const double allowed = last ? tol_.UNDECIDED * tol_.UNDECIDED : tol_.GAP;  // as in Certificate.holds
         if (mends_) return pulls(own, at, look);
         if (excess <= tol_.CERTIFIED * scale_ && figures[RELATIVE_GAP] <= allowed) return true;
         return pulls(own, at, look);
@@ -240,6 +245,19 @@ class Certified : public Extended {
         if (block) longest = max(block->longest, look.far);
         const double felt = given_ * pulled, unfelt = own * pulled * look.far;
         return {at, block ? block->sizes : nullptr, felt, unfelt, sqrt(double(at.all())) * own * pulled * longest};
+    }
+
+    // Whether a level's cost falls along what it does not feel, until a row is in the way; see Look.falls.
+    bool falls(const Span& at, const Gradient& g, const Look& look) const {
+        const double rest = norm(look.beyond + at.rank, at.below);
+        if (!at.below || !look.n || rest == 0.0) return false;
+        double share = 0.0, size = sqrt(double(at.rank));
+        for (int i = 0; i < look.n; i++) {
+            const double *normal = look.normals + size_t(i) * stride, seen = norm(normal, at.rank);
+            if (look.combination[i] != 0.0 && seen > 0.0) share = max(share, norm(normal + at.rank, at.below) / seen);
+        }
+        const double of_given = sqrt(double(at.below)) * doubtful_at(at, look).unfelt;
+        return rest > size * tol_.ROUNDING * g.terms * share + of_given;
     }
 
     // In doubles; false if rows cannot balance the gradient, which shows early.

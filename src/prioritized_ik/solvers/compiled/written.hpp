@@ -92,7 +92,7 @@ class Written : public Certified {
         const double* figures = io.figures.data();
         double largest = 0.0;
         for (int l = 0; l <= now_.levels; l++, figures += FIGURES) largest = max(largest, figures[ROUNDING]);
-        return max(largest, io.figures[size_t(now_.levels) * FIGURES + RELATIVE_GAP]);
+        return max(largest, sqrt(io.figures[size_t(now_.levels) * FIGURES + RELATIVE_GAP]));
     }
 };
 

@@ -6,6 +6,7 @@ Only how far the rest could still lower a level's cost, R⁻ᵀ of it, is counte
 orthonormal.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -285,7 +286,7 @@ class TreeProof:
         levels, scale = self.levels, self.scale
         if len(levels) < len(self._posed.parts) or levels[-1].pulls or self.is_unclear:
             return False
-        variation = max(max(level.rounding for level in levels) / scale, levels[-1].relative_gap)
+        variation = max(max(level.rounding for level in levels) / scale, math.sqrt(levels[-1].relative_gap))
         return (
             max(self.violation, *(level.excess for level in levels)) <= MARGIN * CERTIFIED * scale
             and max((level.relative_gap for level in levels[:-1]), default=0.0) <= MARGIN * GAP
