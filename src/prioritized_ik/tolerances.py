@@ -62,10 +62,10 @@ LEAST_DEMAND = 1e-6
 #: [of the step] A displacement below this is rounding that no estimate foresaw.
 OFF = 1e-12
 
-#: [–] Turns of a basis in extended precision; each gains as many digits as the level's weakest direction leaves.
+#: [–] Turns of a basis with twice the digits of doubles; each gains as many digits as the level's weakest direction leaves.
 TURNS = 2
 
-#: [–] Improvements of a combination in extended precision; each gains as many digits as the rows leave.
+#: [–] Improvements of a combination with twice the digits of doubles; each gains as many digits as the rows leave.
 BALANCINGS = 4
 
 # --- The active set -----------------------------------------------------------------------------------------------------

@@ -23,6 +23,8 @@ alone. Packages add families: `comparisons.methods` those of mink and of the ref
 Long arms go joint by joint (`tree`), where `joint_step` asks it first; most other problems through the core in C++
 (`compiled`), which it asks next.
 
-`subspaces.py` holds the geometry, `balance.py` and `level_proof.py` the arithmetic of a proof,
-`prioritized_ik.tolerances` the thresholds, and `witness.py` a reference in CVXPY that shares no code with any of this.
+`blocks.py` holds what a hierarchy is made of, `subspaces.py` the geometry. A proof looks at each level (`looks.py`): rows
+balance its gradient (`balance.py`) or do not (`level_proof.py`), in doubles or with twice their digits (`double_double.py`)
+in what the levels above leave (`decided.py`). `prioritized_ik.tolerances` holds the thresholds, and `witness.py` is a
+reference in CVXPY that shares no code with any of this.
 """

@@ -222,7 +222,7 @@ def _from_all_tight_rows(hierarchy: Hierarchy, u: Array, proof: Proof, active: A
 def _refined(hierarchy: Hierarchy, u: Array, proof: Proof) -> tuple[Array, Proof] | None:
     """Return a step that rounding alone kept from being proven, and its proof; None if that is not what it lacked.
 
-    Where a level is ill-conditioned the proof sees, in extended precision, by how much the step is off.
+    Where a level is ill-conditioned the proof sees, with twice the digits of doubles, by how much the step is off.
     """
     for _ in range(REFINEMENTS):
         failing = next((level for level in proof.levels if level.excess > CERTIFIED * proof.scale), None)
