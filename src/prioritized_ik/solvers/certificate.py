@@ -253,22 +253,14 @@ class Proof:
         self._loose = max(self._loose, self._evaded(near[carrying], look, shortfall.felt))
         if look.falls(felt.shape[1], carrying, self._hierarchy.decided.given(2 + number)):
             loosened = max(loosened, self.scale)  # until a row is in the way, which may be as far as that
-        # What a level above is off by, those below follow, and the more the weaker they are.
-        answers = felt @ (felt.T @ (level.matrix.T * level.weights))  # what the level does about what its rows lack
-        drawn, above = (off * (1.0 + float(np.linalg.norm(answers @ level.matrix))) for off in (self._off, self._above))
-        above = max(above, drawn)
-        moved = level.matrix @ self._handed
-        handed = 2.0 * abs(float((level.weights * level.residual(self._u)) @ moved)) + float(level.weights @ moved**2)
-        handed += 2.0 * float(np.abs(pull) @ np.abs(self._looks.rows[near] @ self._handed))  # rows follow, too
-        handed += 2.0 * float(np.abs(pull) @ np.where(apart, 0.0, slack)) + mended
-        # The level follows what mends those above, and has its own to mend.
-        self._handed = self._handed - answers @ moved + look.displacement
-        self._above = max(above, look.explained, loosened)
-        self._off = drawn + excess
+        drawn, above, handed = self._follow(level, felt, near, pull, look.displacement)
+        self._off, self._above = drawn + excess, max(above, look.explained, loosened)
+        carried = rounding + mended + 2.0 * float(np.abs(pull) @ np.where(apart, 0.0, slack))
+        carried += handed + (steepness + 2.0 * float(np.abs(pull).sum())) * above + (strength * above) ** 2
         return LevelProof(
             level.name,
             gap,
-            rounding + (steepness + 2.0 * float(np.abs(pull).sum())) * above + (strength * above) ** 2 + handed,
+            carried,
             max(demand, math.sqrt(level.cost(self._u)), LEAST_DEMAND * shortfall.strength * self.scale),
             look.displacement,
             look.feigned,
@@ -280,6 +272,22 @@ class Proof:
             self.scale,
             self.tolerance,
         )
+
+    def _follow(
+        self, level: Level, felt: Array, near: NDArray[np.int_], pull: Array, displacement: Array
+    ) -> tuple[float, float, float]:
+        """Return how far a level follows what those above are off by, beyond rounding and with it, and what that costs it.
+
+        The weaker it is, the more it moves; rows that pull follow, too. Its own `displacement` is for those below.
+        """
+        answers = felt @ (felt.T @ (level.matrix.T * level.weights))  # what the level does about what its rows lack
+        amplified = 1.0 + float(np.linalg.norm(answers @ level.matrix))
+        drawn = self._off * amplified
+        moved = level.matrix @ self._handed
+        handed = 2.0 * abs(float((level.weights * level.residual(self._u)) @ moved)) + float(level.weights @ moved**2)
+        handed += 2.0 * float(np.abs(pull) @ np.abs(self._looks.rows[near] @ self._handed))
+        self._handed = self._handed - answers @ moved + displacement
+        return drawn, max(self._above * amplified, drawn), handed
 
     def _evaded(self, carrying: NDArray[np.int_], look: Look, range_: Range) -> float:
         """Return how far the level moves if `carrying` rows `(t,)` hold it only as far as its unfelt directions allow.
