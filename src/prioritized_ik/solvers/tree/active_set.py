@@ -126,7 +126,7 @@ class Search:
         What mends a level moves those below, along what they feel weakly: these come next.
         """
         scale = proof.scale
-        if not MARGIN * CERTIFIED * scale < proof.excess <= ROUNDED_OFF * scale:
+        if proof.holds_with_margin or proof.excess > ROUNDED_OFF * scale:
             return u, proof
         best = u, proof
         for _ in range(REFINEMENTS):

@@ -1,12 +1,16 @@
 """How far rows of the levels above, and what is fixed, balance a level's gradient at a step: what its proof is made of."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from prioritized_ik.solvers.tree.factors import HELD, Balance, Factors
+from prioritized_ik.tolerances import EPS, FINEST
 from prioritized_ik.validation import Array, length
+
+#: [of the sum of the sizes of a sum's terms] What rounding leaves; that of one link's motion is in all rows beyond it alike
+ROUNDED = 2.0 * EPS
+FINER = FINEST / EPS  # [of the same] with twice the digits
 
 
 def balance(
@@ -60,29 +64,53 @@ def balance(
         noise = noise + rounded * sizes
     others = parts[:-1] if is_last else [*parts[:level], *parts[level + 1 :]]
     astray = length(np.array([length(part) for part in others]))
-    signs = np.where(np.arange(len(noise)) * 7919 % 13 < 6, 1.0, -1.0)
-    of_bounds, of_rows = noise + np.abs(blur), 0.0
     if is_last:
-        feigned = length(of_bounds)
+        feigned = length(noise + np.abs(blur))
     else:
-        feigned = length(factors.displacement(level, factors.whitened(level, factors.parts(noise * signs)[level])))
-    if is_held:
-        # What balances uncertain multipliers is as uncertain, and so is what that does to joints at a bound.
-        uncertain, unsure = factors.parts(np.where(blur < 0.0, -of_bounds, of_bounds)), np.zeros(len(pulls))
-        for above in range(level):
-            if factors.ranks[above]:
-                some = np.abs(factors.pulls(above, factors.whitened(above, uncertain[above])))
-                own = rows.level == above
-                unsure += np.where(own, some + length(some) / np.sqrt(np.count_nonzero(own)), 0.0)
-        of_bounds = of_bounds + sizes_of_torques(unsure)
-        of_rows = float(unsure[rows.level == HELD].max(initial=0.0))
+        feigned = length(
+            factors.displacement(level, factors.whitened(level, factors.parts(noise * _signs(len(noise)))[level]))
+        )
+    of_bounds, of_rows = _uncertain(factors, sizes_of_torques, level, noise, blur, is_held=is_held)
     return Balance(rest, pulls, off, of_bounds, float(decided @ decided), moved, astray, length(noise), feigned, of_rows)
 
 
-def finely(factors: Factors, found: Balance, level: int, rest: Array, off: Array) -> Balance:
-    """Return the balance with a rest of more digits, and what that could lower; what is uncertain stays so.
+def _uncertain(
+    factors: Factors,
+    sizes_of_torques: Callable[[Array], Array],
+    level: int,
+    noise: Array,
+    blur: Array,
+    *,
+    is_held: bool,
+) -> tuple[Array, float]:
+    """Return how uncertain a level's rest is along each joint `(m,)`, and multipliers of held rows.
 
-    The multipliers are those found, and those that balance what their rounding leaves.
+    Args:
+        factors: see `balance`.
+        sizes_of_torques: see there.
+        level: see there.
+        noise: of the rest, by rounding `(m,)`.
+        blur: what the step's being off does to the rest `(m,)`.
+        is_held: see there.
+    """
+    of_bounds, of_rows = noise + np.abs(blur), 0.0
+    if is_held:
+        # What balances uncertain multipliers is as uncertain, and so is what that does to joints at a bound.
+        uncertain, unsure = factors.parts(np.where(blur < 0.0, -of_bounds, of_bounds)), np.zeros(len(factors.rows.level))
+        for above in range(level):
+            if factors.ranks[above]:
+                some = np.abs(factors.pulls(above, factors.whitened(above, uncertain[above])))
+                own = factors.rows.level == above
+                unsure += np.where(own, some + length(some) / np.sqrt(np.count_nonzero(own)), 0.0)
+        of_bounds = of_bounds + sizes_of_torques(unsure)
+        of_rows = float(unsure[factors.rows.level == HELD].max(initial=0.0))
+    return of_bounds, of_rows
+
+
+def finely(factors: Factors, found: Balance, level: int, rest: Array, off: Array) -> Balance:
+    """Return the balance with a rest of more digits, and what that could lower.
+
+    The multipliers are those found and those that balance what their rounding leaves.
 
     Args:
         factors: of the face that the step is on.
@@ -92,16 +120,45 @@ def finely(factors: Factors, found: Balance, level: int, rest: Array, off: Array
         off: how far the step is off what the levels before would have `(m,)`.
     """
     rows, pulls = factors.rows, found.pulls
+    points = rows.points
+    noise = FINER * found.of_bounds
     for above in reversed(range(level)):
         if factors.ranks[above]:
             own = -factors.pulls(above, factors.whitened(above, factors.parts(rest)[above]))
-            rest, pulls = rest + rows.points.transposed_times(own * rows.roots), pulls + own
+            rest, pulls = rest + points.transposed_times(own * rows.roots), pulls + own
+            noise = noise + ROUNDED * points.sizes_of_torques(own * rows.roots)
     is_last, parts = level == rows.last, factors.parts(rest)
     decided = parts[-1] if is_last else factors.whitened(level, parts[level])
-    moved = length(decided)
+    blur, moved = off, length(decided)
     if not is_last:
         displacement = factors.displacement(level, decided)
         off, moved = off + displacement, length(displacement)
+        blur = points.transposed_times(np.where(rows.level == level, rows.roots**2 * points.times(off), 0.0))
     others = parts[:-1] if is_last else [*parts[:level], *parts[level + 1 :]]
-    astray = length(np.array([length(part) for part in others]))
-    return replace(found, rest=rest, pulls=pulls, off=off, lower=float(decided @ decided), moved=moved, astray=astray)
+    if is_last:
+        feigned = length(noise + np.abs(blur))
+    else:
+        feigned = length(
+            factors.displacement(level, factors.whitened(level, factors.parts(noise * _signs(len(noise)))[level]))
+        )
+
+    def sizes_of_torques(values: Array) -> Array:
+        return points.sizes_of_torques(values * rows.roots)
+
+    of_bounds, of_rows = _uncertain(factors, sizes_of_torques, level, noise, blur, is_held=True)
+    return Balance(
+        rest,
+        pulls,
+        off,
+        of_bounds,
+        float(decided @ decided),
+        moved,
+        length(np.array([length(part) for part in others])),
+        length(noise),
+        feigned,
+        of_rows,
+    )
+
+
+def _signs(count: int) -> Array:
+    return np.where(np.arange(count) * 7919 % 13 < 6, 1.0, -1.0)

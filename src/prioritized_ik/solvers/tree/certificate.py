@@ -15,14 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.solvers.certificate import FAR, Certificate
-from prioritized_ik.solvers.tree.balance import finely
+from prioritized_ik.solvers.tree.balance import ROUNDED, finely
 from prioritized_ik.solvers.tree.factors import Factors
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAST_DEMAND, MARGIN, NEARLY, NOISE, ROUNDING, UNDECIDED, UNFELT
+from prioritized_ik.tolerances import CERTIFIED, GAP, LEAST_DEMAND, MARGIN, NEARLY, NOISE, ROUNDING, UNDECIDED, UNFELT
 from prioritized_ik.validation import Array, length
 
-#: [of the sum of the sizes of a sum's terms] What rounding leaves; that of one link's motion is in all rows beyond it alike
-ROUNDED = 2.0 * EPS
 PULLS = 4.0  # [of what rounding leaves]: a multiplier below minus this pulls, and a rest above it is one
 
 
