@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
+from prioritized_ik.solvers.tree.certificate import ActiveSet, Digits, TreeProof
 from prioritized_ik.solvers.tree.factors import HELD, Ending
 from prioritized_ik.solvers.tree.interior import guessed
 from prioritized_ik.solvers.tree.posed import PosedOnTree
@@ -125,13 +125,17 @@ class Search:
         Where levels miss far more than the step makes up for, doubles do not have the digits to show how far it is off.
         What mends a level moves those below, along what they feel weakly: these come next.
         """
-        scale = proof.scale
-        if proof.holds_with_margin or proof.excess > ROUNDED_OFF * scale:
+        if proof.holds_with_margin or proof.excess > ROUNDED_OFF * proof.scale:
             return u, proof
-        best = u, proof
-        for _ in range(REFINEMENTS):
-            finer = TreeProof(self.posed, self._factors, u, active, scale, finely=True)
-            if finer.excess < best[1].excess:
+        u, proof = self._mended(u, proof, active, Digits.GRADIENTS)
+        return (u, proof) if proof.holds_with_margin else self._mended(u, proof, active, Digits.TWICE)
+
+    def _mended(self, u: Array, proof: TreeProof, active: ActiveSet, digits: Digits) -> tuple[Array, TreeProof]:
+        """Return a face's step, moved by what its proof of so many digits says that it is off by, and that proof."""
+        best, scale = (u, proof), proof.scale
+        for turn in range(REFINEMENTS):
+            finer = TreeProof(self.posed, self._factors, u, active, scale, digits=digits)
+            if turn == 0 or finer.excess < best[1].excess:
                 best = u, finer
             if finer.excess <= MARGIN * CERTIFIED * scale:
                 break
@@ -148,7 +152,7 @@ class Search:
         least = scale * max(CERTIFIED, TOLD * max(level.rounding for level in proof.levels) / scale)
         if unclear.count <= FEW and all(self._beyond(one, active, scale) > least for one in unclear.singly()):
             self._factor(active)
-            return TreeProof(self.posed, self._factors, u, active, scale, unclear, finely=proof.finely)
+            return TreeProof(self.posed, self._factors, u, active, scale, unclear, digits=proof.digits)
         return proof
 
     def _beyond(self, one: ActiveSet, active: ActiveSet, scale: float) -> float:

@@ -1,6 +1,7 @@
 """How far rows of the levels above, and what is fixed, balance a level's gradient at a step: what its proof is made of."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -107,7 +108,7 @@ def _uncertain(
     return of_bounds, of_rows
 
 
-def finely(factors: Factors, found: Balance, level: int, rest: Array, off: Array) -> Balance:
+def finely(factors: Factors, found: Balance, level: int, rest: Array, off: Array, *, surely: bool) -> Balance:
     """Return the balance with a rest of more digits, and what that could lower.
 
     The multipliers are those found and those that balance what their rounding leaves.
@@ -118,6 +119,7 @@ def finely(factors: Factors, found: Balance, level: int, rest: Array, off: Array
         level: its number.
         rest: what the multipliers found leave of the level's gradient `(m,)`, worked out with twice the digits.
         off: how far the step is off what the levels before would have `(m,)`.
+        surely: whether what is uncertain is that of so many digits, too, and not that of doubles.
     """
     rows, pulls = factors.rows, found.pulls
     points = rows.points
@@ -135,6 +137,9 @@ def finely(factors: Factors, found: Balance, level: int, rest: Array, off: Array
         off, moved = off + displacement, length(displacement)
         blur = points.transposed_times(np.where(rows.level == level, rows.roots**2 * points.times(off), 0.0))
     others = parts[:-1] if is_last else [*parts[:level], *parts[level + 1 :]]
+    lower, astray = float(decided @ decided), length(np.array([length(part) for part in others]))
+    if not surely:
+        return replace(found, rest=rest, pulls=pulls, off=off, lower=lower, moved=moved, astray=astray)
     if is_last:
         feigned = length(noise + np.abs(blur))
     else:
@@ -146,18 +151,7 @@ def finely(factors: Factors, found: Balance, level: int, rest: Array, off: Array
         return points.sizes_of_torques(values * rows.roots)
 
     of_bounds, of_rows = _uncertain(factors, sizes_of_torques, level, noise, blur, is_held=True)
-    return Balance(
-        rest,
-        pulls,
-        off,
-        of_bounds,
-        float(decided @ decided),
-        moved,
-        length(np.array([length(part) for part in others])),
-        length(noise),
-        feigned,
-        of_rows,
-    )
+    return Balance(rest, pulls, off, of_bounds, lower, moved, astray, length(noise), feigned, of_rows)
 
 
 def _signs(count: int) -> Array:

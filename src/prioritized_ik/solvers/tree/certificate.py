@@ -9,6 +9,7 @@ orthonormal.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from enum import Enum
 from functools import cached_property
 
 import numpy as np
@@ -100,6 +101,14 @@ class TreeLevelProof:
         return bool(self.unclear_bounds.any() or self.unclear_rows.any())
 
 
+class Digits(Enum):
+    """With how many digits a proof is worked out."""
+
+    DOUBLES = 0
+    GRADIENTS = 1  # gradients, and what multipliers leave of them, with twice as many; uncertain by the rounding of doubles
+    TWICE = 2  # uncertain by as little, too
+
+
 class TreeProof:
     """The proofs of all levels at a step `u` `(m,)` that rests on `active`, by factors of that face.
 
@@ -109,7 +118,7 @@ class TreeProof:
     Attributes:
         active: what the step rests on.
         scale: length that relative figures refer to.
-        finely: whether gradients and what multipliers leave of them are worked out with twice the digits of doubles.
+        digits: of what it is worked out with.
         levels: one proof a level, the last level's last; they end with the first that pulls.
     """
 
@@ -122,9 +131,9 @@ class TreeProof:
         scale: float,
         sure: ActiveSet | None = None,
         *,
-        finely: bool = False,
+        digits: Digits = Digits.DOUBLES,
     ) -> None:
-        self.finely = finely
+        self.digits = digits
         self._posed, self._factors, self._u, self.active, self.scale = posed, factors, u, active, scale
         m, c = len(u), len(active.held)
         self._frozen = posed.lower == posed.upper
@@ -160,8 +169,9 @@ class TreeProof:
             demand = max(posed.demand(number), cost, LEAST_DEMAND * strength * self.scale)
             sizes = np.where(posed.level == number, sizes, 0.0)
         found = factors.balance(number, given, sizes, ROUNDED, self._off, is_held=self._is_held)
-        if self.finely:
-            found = finely(factors, found, number, posed.fine_gradient(number, u, found.pulls), self._off)
+        if self.digits is not Digits.DOUBLES:
+            rest = posed.fine_gradient(number, u, found.pulls)
+            found = finely(factors, found, number, rest, self._off, surely=self.digits is Digits.TWICE)
         self._off = found.off
         # Along what a level does not feel its gradient is nothing but rounding: more is a rank gone wrong. So is what its
         # multipliers leave along what levels above decide: more is a multiplier gone wrong.
