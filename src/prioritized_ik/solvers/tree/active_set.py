@@ -125,10 +125,12 @@ class Search:
         Where levels miss far more than the step makes up for, doubles do not have the digits to show how far it is off.
         What mends a level moves those below, along what they feel weakly: these come next.
         """
-        if proof.holds_with_margin or proof.excess > ROUNDED_OFF * proof.scale:
+        least, most = MARGIN * CERTIFIED * proof.scale, ROUNDED_OFF * proof.scale
+        if least < proof.excess <= most:
+            u, proof = self._mended(u, proof, active, Digits.GRADIENTS)
+        if proof.holds_with_margin or proof.is_unclear or proof.excess > most:
             return u, proof
-        u, proof = self._mended(u, proof, active, Digits.GRADIENTS)
-        return (u, proof) if proof.holds_with_margin else self._mended(u, proof, active, Digits.TWICE)
+        return self._mended(u, proof, active, Digits.TWICE)
 
     def _mended(self, u: Array, proof: TreeProof, active: ActiveSet, digits: Digits) -> tuple[Array, TreeProof]:
         """Return a face's step, moved by what its proof of so many digits says that it is off by, and that proof."""
