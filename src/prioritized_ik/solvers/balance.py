@@ -46,9 +46,9 @@ def exact_gradient(level: Level, felt: DoubleDouble, u: Array) -> tuple[DoubleDo
     """
     matrix, (k, m) = DoubleDouble.of(level.matrix), level.matrix.shape
     residual = (matrix @ DoubleDouble.of(u[:, None]) - DoubleDouble.of(level.target[:, None])).times(level.weights[:, None])
-    gradient = ((matrix @ felt).T @ residual)[:, 0]
+    gradient = (felt.T @ (matrix.T @ residual))[:, 0]
     terms = level.weights * (lengths(level.matrix) * length(u) + np.abs(level.target))
-    rounding = FINEST * (k + 2 * m) * lengths(felt.high.T) * float(lengths(level.matrix) @ terms)
+    rounding = FINEST * (k + 3 * m) * lengths(felt.high.T) * float(lengths(level.matrix) @ terms)
     return gradient, rounding
 
 

@@ -112,6 +112,11 @@ class Hierarchy:
         return Decided(tuple(decisions))
 
     @cached_property
+    def exact_directions(self) -> dict[int, DoubleDouble]:
+        """Directions of levels, by number, that proofs have worked out with twice the digits of doubles."""
+        return {}
+
+    @cached_property
     def exact_rows(self) -> DoubleDouble:
         """What `rows.matrix` is before rows are rounded to unit length `(r, m)`.
 

@@ -101,20 +101,36 @@ class Looks:
         felt = shortfall.felt.felt.shape[1]
         basis, sizes = whitened(shortfall.felt, weakly=not level.is_soft)
         turns, turn_as_given = self._turns(number, felt, len(sizes), closer=True)
-        directions = self._hierarchy.decided.left(basis, 1 + number)
+        solved = self._hierarchy.cut_problem.levels[number] if self._hierarchy.is_cut(number) else level
+        directions = self._directions(solved, shortfall, basis, number)
         rounded, blur = _in_doubles(shortfall, sizes, ROUNDING)
         of_step, gradient = length(blur), DoubleDouble.of(rounded)
         if not level.is_soft:
-            solved = self._hierarchy.cut_problem.levels[number] if self._hierarchy.is_cut(number) else level
             own, blur[:felt] = exact_gradient(solved, directions[:, :felt], self._u)
             gradient = own.padded(len(sizes))
-            directions = exact_basis(solved, directions, felt)
         lacking = gradient.where(np.abs(gradient.high) > blur)
         balance = exactly_balanced(self._exact_rows(near), directions, lacking, held, sizes * turns)
         rounding = blur + balance.turned(sizes, turns) + 0.5 * steepness * turn_as_given * sizes
         doubtful, explained = self._doubtful(balance, sizes, number, felt), float(np.linalg.norm(sizes * rounding))
         size = length(shortfall.terms)
         return Look(balance, gradient.high, basis, sizes, rounding, doubtful, explained, of_step, feigned, size)
+
+    def _directions(self, level: Level, shortfall: Shortfall, basis: Array, number: int) -> DoubleDouble:
+        """Return what a `basis` `(m, v)` of a level is as the levels above leave it, and as it is felt.
+
+        Where no soft level is in between, that is the same at every step.
+        """
+        hierarchy, felt = self._hierarchy, shortfall.felt.felt
+        block = hierarchy.blocks[number] if number < len(hierarchy.blocks) else None
+        is_known = felt is (block.inverse if isinstance(block, EqualBlock) else hierarchy.rest)
+        if is_known and number in hierarchy.exact_directions:
+            return hierarchy.exact_directions[number]
+        directions = hierarchy.decided.left(basis, 1 + number)
+        if not level.is_soft:
+            directions = exact_basis(level, directions, felt.shape[1])
+        if is_known:
+            hierarchy.exact_directions[number] = directions
+        return directions
 
     def _doubtful(self, balance: Balance, sizes: Array, number: int, felt: int) -> Array:
         """Return how large a multiplier of each row `(t,)` half a unit in the last place of what is given can make."""
