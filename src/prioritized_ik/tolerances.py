@@ -79,8 +79,9 @@ KEPT = 1e-10
 #: [of the step] What a row moves by directions too weak to count that is rounding.
 DRIFT = 1e-14
 
-#: [of the step] A closed-form step that breaks no row by more than this, its own rounding, breaks none.
-FREE = 1e-12
+#: [of the step] A closed-form step that breaks no row by more than this, its own rounding, breaks none. A row broken by
+#: 1e-12 that hardly moves where levels above leave it, 1e-9 of its length, is kept a thousandth of the step away.
+FREE = ROUNDING
 
 #: [–] A step this fraction of what the levels ask for counts as this long, so that steps of robots at rest have a scale:
 #: what a certificate allows of it is no finer than the rounding of what the levels ask for.

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import paths
 import pytest
 from hierarchies import EVERYTHING, KnownHierarchy, random_hierarchy
 from tolerances import ROUNDING
@@ -668,3 +669,36 @@ def test_a_proof_in_a_search_is_the_whole_one_up_to_the_first_level_that_is_off(
         assert searching.certificate.holds == whole.certificate.holds
         assert searching.certificate.is_optimal == whole.certificate.is_optimal
         assert off or ends == len(whole.levels)
+
+
+@pytest.mark.parametrize("is_soft", [False, True])
+def test_a_row_broken_within_tolerance_that_hardly_moves_leaves_the_step_open(is_soft: bool) -> None:
+    turn = 2.0**-27
+    row, side = [[1.0, turn]], [1.0 + turn / 2.0]
+    levels = [Level([[1.0, 0.0]], [1.0]), Level([[0.0, 1.0]], [1.0])]
+    soft = IKProblem([Level(row, side, kind="at_most"), *levels])
+    certificate = certify(soft if is_soft else IKProblem(levels, rows=Rows(row, side)), [1.0, 1.0])
+    assert certificate.violation < 1e-8
+    assert certificate.variation > 0.5 / np.sqrt(2.0) * 0.99  # the optimum is (1, 0.5)
+    assert not certificate.holds
+
+
+@pytest.mark.parametrize("broken", [1e-13, 1e-12, 1e-11])
+@pytest.mark.parametrize("path", ["python", "compiled"])
+def test_a_closed_form_that_breaks_a_row_that_hardly_moves_is_not_the_step(path: str, broken: float) -> None:
+    turn = 2.0**-30
+    side = 1.0 + turn - broken
+    levels = [Level([[1.0, 0.0]], [1.0]), Level([[0.0, 1.0]], [1.0])]
+    problem = IKProblem(levels, rows=Rows([[1.0, turn]], [side]))
+    with paths.only(path):
+        step = solve(problem)
+    assert step.certificate is not None
+    assert step.certificate.holds
+    assert step.dtheta == pytest.approx([1.0, (side - 1.0) / turn], abs=1e-6)
+
+
+def test_what_an_equality_misses_within_tolerance_counts_in_the_gap() -> None:
+    problem = IKProblem([Level([[1.0, 0.0]], [11.0])], equalities=Equalities([[1.0, 0.0]], [1.0]))
+    certificate = certify(problem, [1.0 - 5e-9, 0.0])
+    assert certificate.violation < 1e-8
+    assert certificate.gaps[0] >= (1.0 - 1e-6) * ((10.0 + 5e-9) ** 2 - 100.0)

@@ -22,7 +22,7 @@ def by_python(problem: IKProblem) -> JointStep:
 
 
 def test_a_closed_form_that_breaks_a_bound_by_rounding_is_answered() -> None:
-    problem = IKProblem([Level(np.eye(2), [1.0, 0.5])], Bounds([-2.0, -2.0], [1.0 - 5e-13, 2.0]))
+    problem = IKProblem([Level(np.eye(2), [1.0, 0.5])], Bounds([-2.0, -2.0], [1.0 - 5e-15, 2.0]))
     step = fast.compiled_step(problem, 0.0)
     assert step is not None
     assert step.status is by_python(problem).status is StepStatus.CLOSED_FORM

@@ -149,7 +149,8 @@ class Proof:
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
         #: How far the step may go within the room that rows have: what is broken of hard ones, to begin with.
         self._loose = float(-self.slack.min(initial=0.0, where=rows.level == HARD))
-        self._handed = np.zeros(len(u))  # the displacement that would mend the levels so far, however little
+        #: The displacement that would mend the levels so far, however little; equalities and frozen joints come first.
+        self._handed = self._keeping()
         self.levels: list[LevelProof] = []
         for level in self._prove():
             self.levels.append(level)
@@ -169,6 +170,12 @@ class Proof:
             tuple(tuple(names[i] for i in np.flatnonzero(level.multipliers > 0.0)) for level in self.levels),
             self.tolerance,
         )
+
+    def _keeping(self) -> Array:
+        """Return the displacement `(m,)` that would keep equalities and frozen joints; zero if that is rounding."""
+        kept = self._hierarchy.kept
+        displacement = kept.answer @ (kept.matrix @ (kept.start - self._u))
+        return displacement if length(displacement) > ROUNDING * self.scale else np.zeros(len(displacement))
 
     @property
     def ends_on(self) -> NDArray[np.bool_]:
@@ -253,6 +260,7 @@ class Proof:
         self._loose = max(self._loose, self._evaded(near[carrying], look, shortfall.felt))
         if look.falls(felt.shape[1], carrying, self._hierarchy.decided.given(2 + number)):
             loosened = max(loosened, self.scale)  # until a row is in the way, which may be as far as that
+        loosened = max(loosened, self._restored(free, number))
         drawn, above, handed = self._follow(level, felt, near, pull, look.displacement)
         self._off, self._above = drawn + excess, max(above, look.explained, loosened)
         carried = rounding + mended + 2.0 * float(np.abs(pull) @ np.where(apart, 0.0, slack))
@@ -288,6 +296,17 @@ class Proof:
         handed += 2.0 * float(np.abs(pull) @ np.abs(self._looks.rows[near] @ self._handed))
         self._handed = self._handed - answers @ moved + displacement
         return drawn, max(self._above * amplified, drawn), handed
+
+    def _restored(self, free: Array, number: int) -> float:
+        """Return how far the step has to go within `free` `(m, v)` to keep the rows that it breaks within tolerance.
+
+        A row that hardly moves there is broken by little where the step is far from any that keeps it.
+        """
+        rows = self._hierarchy.rows
+        broken = (self.slack < -ROUNDING * self.scale) & ~self.exceeded & (rows.level < number)
+        moves = lengths(self._looks.rows[broken] @ free)
+        there = moves > self._hierarchy.settled
+        return float((-self.slack[broken][there] / moves[there]).max(initial=0.0))
 
     def _evaded(self, carrying: NDArray[np.int_], look: Look, range_: Range) -> float:
         """Return how far the level moves if `carrying` rows `(t,)` hold it only as far as its unfelt directions allow.
