@@ -702,3 +702,14 @@ def test_what_an_equality_misses_within_tolerance_counts_in_the_gap() -> None:
     certificate = certify(problem, [1.0 - 5e-9, 0.0])
     assert certificate.violation < 1e-8
     assert certificate.gaps[0] >= (1.0 - 1e-6) * ((10.0 + 5e-9) ** 2 - 100.0)
+
+
+def test_what_a_weak_level_settles_is_not_settled_for_those_above() -> None:
+    # Rows 1 and 2 leave a wedge that a long way along z opens: level 1 can be met, and misses by 8191 without it.
+    rows = [[0.0, 1.0, 0.0], [2.0**-13, -1.0, 0.0], [-3 * 2.0**-31, 1.0 + 3 * 2.0**-31, 2.0**-31]]
+    levels = [Level([[1.0, 0.0, 0.0]], [0.0]), Level([[0.0, 0.0, 1.0]], [1.0])]
+    weak = Level([[3.0, -(2.0**-22), -(2.0**-22)]], [-1.0])
+    limits = Rows(rows, [0.0, 2.0**-13, -1.0 + 9 * 2.0**-32])
+    shut = [-8191.093711017985, -1.0000114395660806, 1.0]
+    assert not certify(IKProblem(levels, rows=limits), shut).holds
+    assert not certify(IKProblem([*levels, weak], rows=limits), shut).holds

@@ -135,12 +135,18 @@ class Hierarchy:
         """Names of hard rows that are rounding, so that no step moves them, but whose sides are beyond what is kept."""
         return impossible_rows(self._given, FEASIBLE * self._given.longest_row * self.length)
 
-    def least(self, directions: int) -> float:
+    def settled_by(self, number: int) -> float:
+        """What less of a row is left by the levels up to a number is rounding; a weak level below settles nothing above."""
+        least = max(self.problem.noise, SETTLED_PER_RANK_TOLERANCE * self.rank_tolerance)
+        return max((b.settled for b in self.blocks[: number + 1] if isinstance(b, EqualBlock)), default=least)
+
+    def least(self, directions: int, number: int | None = None) -> float:
         """What a combination of rows moves at least along so many directions where it is not settled.
 
         Rounding is of every entry; what a rank tolerance settles is of a row as a whole.
         """
-        return self.settled if self.rank_tolerance else self.settled * math.sqrt(directions)
+        settled = self.settled if number is None else self.settled_by(number)
+        return settled if self.rank_tolerance else settled * math.sqrt(directions)
 
     def scale(self, u: Array) -> float:
         """Return what relative figures of a step count against: ‖u‖, at least `FLOOR` of what the levels ask for."""

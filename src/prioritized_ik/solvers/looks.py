@@ -43,7 +43,7 @@ class Looks:
         if not len(near) or not unfelt.shape[1]:
             return
         combinations, strengths, directions = np.linalg.svd(self.rows[near] @ unfelt, full_matrices=False)
-        few = strengths <= self._hierarchy.least(unfelt.shape[1])
+        few = strengths <= self._hierarchy.least(unfelt.shape[1], number)
         if few.any():
             ways = unfelt @ directions[few].T
             self.rows[near] -= (combinations[:, few] * strengths[few]) @ ways.T
