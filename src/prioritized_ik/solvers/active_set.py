@@ -156,18 +156,19 @@ def _face_solution(hierarchy: Hierarchy, active: Active, drifted: Array) -> Arra
     u, upper = hierarchy.start, rows.upper - rows.drift @ drifted
     hard = active & (rows.level == HARD)
     to_hold, sides = rows.matrix[hard], upper[hard]
-    for block in hierarchy.blocks:
+    for number, block in enumerate(hierarchy.blocks):
         felt, wanted = block.wanted(rows, upper, active, u, free)
-        move, combined = _held(hierarchy, free, felt, wanted, to_hold, sides - to_hold @ u)
+        move, combined = _held(hierarchy, number, free, felt, wanted, to_hold, sides - to_hold @ u)
         u = u + felt.felt @ move
         to_hold, sides, free = combined.T @ to_hold, combined.T @ sides, felt.unfelt
     wanted = free.T @ (hierarchy.problem.reference - u)
-    move, _ = _held(hierarchy, free, Range(free, free[:, :0], None), wanted, to_hold, sides - to_hold @ u)
+    last = len(hierarchy.blocks)
+    move, _ = _held(hierarchy, last, free, Range(free, free[:, :0], None), wanted, to_hold, sides - to_hold @ u)
     return u + free @ move
 
 
 def _held(
-    hierarchy: Hierarchy, free: Array, felt: Range, wanted: Array, to_hold: Array, gaps: Array
+    hierarchy: Hierarchy, number: int, free: Array, felt: Range, wanted: Array, to_hold: Array, gaps: Array
 ) -> tuple[Array, Array]:
     """Return the move y `(r,)` nearest to `wanted` that lets rows be held, and what of them the levels below must hold.
 
@@ -175,6 +176,7 @@ def _held(
 
     Args:
         hierarchy: knows what is rounding.
+        number: of the level.
         free: the directions left to the level `(m, f)`.
         felt: what it feels of them.
         wanted: its optimum without rows `(r,)`.
@@ -188,7 +190,7 @@ def _held(
     combinations, k = np.eye(len(to_hold)), 0
     if below.size:
         combinations, strengths, _ = np.linalg.svd(below, full_matrices=len(below) > below.shape[1])
-        k = int(np.count_nonzero(strengths > hierarchy.least(below.shape[1])))
+        k = int(np.count_nonzero(strengths > hierarchy.least(below.shape[1], number)))
     mine = combinations[:, k:].T
     mine = mine[lengths(mine @ (to_hold @ free)) > DEPENDENT]  # the rest copies other rows
     if not len(mine):

@@ -229,7 +229,7 @@ class Proof:
         number: int,
     ) -> LevelProof:
         """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back."""
-        near = near[lengths(self._looks.rows[near] @ free) > self._hierarchy.settled]
+        near = near[lengths(self._looks.rows[near] @ free) > self._hierarchy.settled_by(number - 1)]
         held = np.isfinite(self._leak[near])  # by a level above: of either sign here
         steepness, strength = self._sensitivity(level)
         felt = shortfall.felt.felt
@@ -256,8 +256,8 @@ class Proof:
         first = near[~held & (multipliers[near] > 0.0)]
         self._leak[first] = (gap + rounding) / multipliers[first]
         carrying = counts & ~back
-        loosened = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free)
-        self._loose = max(self._loose, self._evaded(near[carrying], look, shortfall.felt))
+        loosened = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free, number)
+        self._loose = max(self._loose, self._evaded(near[carrying], look, shortfall.felt, number))
         if look.falls(felt.shape[1], carrying, self._hierarchy.decided.given(2 + number)):
             loosened = max(loosened, self.scale)  # until a row is in the way, which may be as far as that
         loosened = max(loosened, self._restored(free, number))
@@ -305,10 +305,10 @@ class Proof:
         rows = self._hierarchy.rows
         broken = (self.slack < -ROUNDING * self.scale) & ~self.exceeded & (rows.level < number)
         moves = lengths(self._looks.rows[broken] @ free)
-        there = moves > self._hierarchy.settled
+        there = moves > self._hierarchy.settled_by(number - 1)
         return float((-self.slack[broken][there] / moves[there]).max(initial=0.0))
 
-    def _evaded(self, carrying: NDArray[np.int_], look: Look, range_: Range) -> float:
+    def _evaded(self, carrying: NDArray[np.int_], look: Look, range_: Range, number: int) -> float:
         """Return how far the level moves if `carrying` rows `(t,)` hold it only as far as its unfelt directions allow.
 
         A row holds a level for good where no direction that the level does not feel moves it. What is left of the gradient
@@ -317,12 +317,12 @@ class Proof:
         left = length((look.beyond / look.sizes)[range_.felt.shape[1] :])
         normals = self._looks.rows[carrying]
         moves = lengths(normals @ range_.unfelt)
-        evading = moves > self._hierarchy.settled
+        evading = moves > self._hierarchy.settled_by(number)
         if not left or not evading.any():
             return 0.0
         return left / float(moves[evading].min()) * float(lengths(normals[evading] @ range_.felt @ range_.felt.T).max())
 
-    def _loosened(self, carrying: NDArray[np.int_], multipliers: Array, range_: Range, free: Array) -> float:
+    def _loosened(self, carrying: NDArray[np.int_], multipliers: Array, range_: Range, free: Array, number: int) -> float:
         """Return how far the step may go while the `carrying` rows `(t,)` share out the room that they have.
 
         A level gains Σ λ_i (the room that row i loses), which is not negative: a row may lose its room, or gain what that
@@ -336,7 +336,7 @@ class Proof:
         worth = multipliers * room
         room = np.maximum(room, np.minimum((worth.sum() - worth) / multipliers, self.tolerance * self.scale))
         normals, far = self._looks.rows[carrying], 0.0
-        moves = lengths(normals @ range_.unfelt) > self._hierarchy.settled
+        moves = lengths(normals @ range_.unfelt) > self._hierarchy.settled_by(number)
         for among, way in ((moves, range_.unfelt), (~moves, free)):
             if among.any():
                 apart = float((slack[among] / lengths(normals[among] @ way)).sum())

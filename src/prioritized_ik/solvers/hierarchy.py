@@ -140,12 +140,12 @@ class Hierarchy:
         least = max(self.problem.noise, SETTLED_PER_RANK_TOLERANCE * self.rank_tolerance)
         return max((b.settled for b in self.blocks[: number + 1] if isinstance(b, EqualBlock)), default=least)
 
-    def least(self, directions: int, number: int | None = None) -> float:
-        """What a combination of rows moves at least along so many directions where it is not settled.
+    def least(self, directions: int, number: int) -> float:
+        """What a combination of rows moves at least along so many directions where it is not settled up to a level.
 
         Rounding is of every entry; what a rank tolerance settles is of a row as a whole.
         """
-        settled = self.settled if number is None else self.settled_by(number)
+        settled = self.settled_by(number)
         return settled if self.rank_tolerance else settled * math.sqrt(directions)
 
     def scale(self, u: Array) -> float:
