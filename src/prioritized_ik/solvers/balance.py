@@ -58,9 +58,9 @@ def exact_basis(level: Level, basis: DoubleDouble, felt: int) -> DoubleDouble:
     Rounding turns them towards weak directions, where rows with large multipliers would seem to pull for nothing.
     """
     matrix, own, unfelt = DoubleDouble.of(level.matrix), basis[:, :felt], basis[:, felt:]
-    seen = (matrix @ own).times(level.weights[:, None])
     for _ in range(TURNS):
-        unfelt = unfelt - own @ (seen.T @ (matrix @ unfelt))
+        seen = (matrix @ unfelt).times(level.weights[:, None])
+        unfelt = unfelt - own @ (own.T @ (matrix.T @ seen))  # not all that is felt at once, which may be wide
     return DoubleDouble(np.hstack([own.high, unfelt.high]), np.hstack([own.low, unfelt.low]))
 
 

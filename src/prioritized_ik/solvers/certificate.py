@@ -288,13 +288,15 @@ class Proof:
 
         The weaker it is, the more it moves; rows that pull follow, too. Its own `displacement` is for those below.
         """
-        answers = felt @ (felt.T @ (level.matrix.T * level.weights))  # what the level does about what its rows lack
-        amplified = 1.0 + float(np.linalg.norm(answers @ level.matrix))
+        amplified = 1.0
+        if self._off or self._above:
+            amplified += float(np.linalg.norm(felt @ (((felt.T @ level.matrix.T) * level.weights) @ level.matrix)))
         drawn = self._off * amplified
         moved = level.matrix @ self._handed
         handed = 2.0 * abs(float((level.weights * level.residual(self._u)) @ moved)) + float(level.weights @ moved**2)
         handed += 2.0 * float(np.abs(pull) @ np.abs(self._looks.rows[near] @ self._handed))
-        self._handed = self._handed - answers @ moved + displacement
+        # What the level does about what its rows lack.
+        self._handed = self._handed - felt @ (felt.T @ (level.matrix.T @ (level.weights * moved))) + displacement
         return drawn, max(self._above * amplified, drawn), handed
 
     def _restored(self, free: Array, number: int) -> float:
