@@ -70,7 +70,7 @@ class Looks:
         felt, noise = shortfall.felt.felt, self._hierarchy.problem.noise
         unit = noise if noise > NOISE else ROUNDING
         # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
-        leaks = EPS * follows * math.sqrt(level.cost(self._u)) * max(lengths(felt.T), default=0.0)
+        leaks = EPS * follows * math.sqrt(level.cost(self._u)) * float(lengths(felt.T).max(initial=0.0))
         basis, sizes = whitened(shortfall.felt)
         turns, turn_as_given = self._turns(number, felt.shape[1], len(sizes))
         gradient, blur = _in_doubles(shortfall, sizes, unit)
