@@ -80,7 +80,7 @@ class Hierarchy:
         self.start, self.free = self.kept.start, self.kept.free
         self.blocks: list[Block] = []
         self.rest = self.free
-        self.settled = max(problem.noise, SETTLED_PER_RANK_TOLERANCE * rank_tolerance)
+        self.settled = self._settled_by_none = max(problem.noise, SETTLED_PER_RANK_TOLERANCE * rank_tolerance)
         for number, level in enumerate(self.problem.levels):
             block: Block
             if level.is_soft:
@@ -137,8 +137,8 @@ class Hierarchy:
 
     def settled_by(self, number: int) -> float:
         """What less of a row is left by the levels up to a number is rounding; a weak level below settles nothing above."""
-        least = max(self.problem.noise, SETTLED_PER_RANK_TOLERANCE * self.rank_tolerance)
-        return max((b.settled for b in self.blocks[: number + 1] if isinstance(b, EqualBlock)), default=least)
+        own = (block.settled for block in self.blocks[: number + 1] if isinstance(block, EqualBlock))
+        return max(own, default=self._settled_by_none)
 
     def least(self, directions: int, number: int) -> float:
         """What a combination of rows moves at least along so many directions where it is not settled up to a level.
