@@ -34,7 +34,7 @@ from prioritized_ik.solvers.balance import Look, farthest, whitened
 from prioritized_ik.solvers.blocks import HARD, EqualBlock, Shortfall
 from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.level_proof import LevelProof
-from prioritized_ik.solvers.looks import Looks
+from prioritized_ik.solvers.looks import Conditions, Looks
 from prioritized_ik.solvers.subspaces import Range
 from prioritized_ik.tolerances import CERTIFIED, GAP, LEAST_DEMAND, NOTHING, OFF, ROUNDING, UNDECIDED
 from prioritized_ik.validation import Array, finite_array, length, lengths, tolerance_above_rounding
@@ -234,7 +234,7 @@ class Proof:
         steepness, strength = self._sensitivity(level)
         felt = shortfall.felt.felt
         follows = strength * float(np.linalg.norm(felt)) if felt.size else 0.0
-        look = self._looks.at(level, shortfall, near, held, follows, steepness, number)
+        look = self._looks.at(Conditions(level, shortfall, near, held, follows, steepness, number))
         net = look.balance.multipliers
         terms = look.size + np.abs(net).sum() + shortfall.strength * self.scale
         counts = np.abs(net) > np.maximum(NOTHING * terms, look.doubtful)

@@ -5,6 +5,7 @@ directions that they leave.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,31 @@ from prioritized_ik.solvers.balance import Balance, Look, balanced, exact_basis,
 from prioritized_ik.solvers.blocks import EqualBlock, Shortfall
 from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.tolerances import EPS, FINEST, LEAKS, NOISE, PROJECTION, ROUNDING, UNDECIDED
+from prioritized_ik.tolerances import EPS, FINEST, LEAKS, MARGIN, NOISE, PROJECTION, REFINABLE, ROUNDING, UNDECIDED
 from prioritized_ik.validation import Array, length, lengths
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a level's rows are to balance at one step.
+
+    Attributes:
+        level: see `problem`; the last level has one of its own.
+        shortfall: what it lacks.
+        near: numbers of the rows that may hold it back `(t,)`.
+        held: which of them a level above holds `(t,)`: of either sign here.
+        follows: how far the level moves with what levels above leave open.
+        steepness: length of the gradient of its cost.
+        number: of the level.
+    """
+
+    level: Level
+    shortfall: Shortfall
+    near: NDArray[np.int_]
+    held: NDArray[np.bool_]
+    follows: float
+    steepness: float
+    number: int
 
 
 class Looks:
@@ -56,64 +80,75 @@ class Looks:
         own = PROJECTION * EPS if self._hierarchy.is_cut(number) else block.blur
         self._blur_as_given = max(self._blur_as_given, own)
 
-    def at(
-        self,
-        level: Level,
-        shortfall: Shortfall,
-        near: NDArray[np.int_],
-        held: NDArray[np.bool_],
-        follows: float,
-        steepness: float,
-        number: int,
-    ) -> Look:
+    def at(self, asked: Conditions) -> Look:
         """Return how far rows balance a level's gradient: in doubles, or where these cannot tell with twice the digits."""
+        look, leaks = self._in_doubles(asked)
+        off = max(look.feigned / UNDECIDED, length(look.displacement) / self._tolerance, leaks / LEAKS)
+        # More digits of data that are off in the seventh tell nothing.
+        if self._hierarchy.problem.noise > NOISE or off <= self._scale or self._is_plainly_off(asked, look):
+            return look
+        return self._closer(asked, look.feigned)
+
+    def _is_plainly_off(self, asked: Conditions, look: Look) -> bool:
+        """Whether a step is off by far more than rounding feigns and refinement mends: as most that a search visits."""
+        for seen in (look, None):
+            # What of a row was taken for rounding could balance the gradient, were it none.
+            seen = seen or self._in_doubles(asked, whole=True)[0]
+            if length(seen.displacement) <= max(REFINABLE * self._scale, seen.feigned / MARGIN):
+                return False
+        return True
+
+    def _in_doubles(self, asked: Conditions, *, whole: bool = False) -> tuple[Look, float]:
+        """Return the look in doubles, of `whole` rows or without what may be their rounding, and how far a level leaks."""
+        shortfall, number = asked.shortfall, asked.number
         felt, noise = shortfall.felt.felt, self._hierarchy.problem.noise
         unit = noise if noise > NOISE else ROUNDING
         # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
-        leaks = EPS * follows * math.sqrt(level.cost(self._u)) * float(lengths(felt.T).max(initial=0.0))
+        leaks = EPS * asked.follows * math.sqrt(asked.level.cost(self._u)) * float(lengths(felt.T).max(initial=0.0))
         basis, sizes = whitened(shortfall.felt)
         turns, turn_as_given = self._turns(number, felt.shape[1], len(sizes))
-        gradient, blur = _in_doubles(shortfall, sizes, unit)
+        gradient, blur = _gradient(shortfall, sizes, unit)
         lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
-        balance = balanced(self.rows[near], basis, lacking, held, sizes * turns, unit)
-        rounding = blur + balance.turned(sizes, turns) + 0.5 * steepness * turn_as_given * sizes
+        little = np.zeros(len(sizes)) if whole else sizes * turns
+        balance = balanced(self.rows[asked.near], basis, lacking, asked.held, little, unit)
+        rounding = blur + balance.turned(sizes, turns) + 0.5 * asked.steepness * turn_as_given * sizes
         feigned = max(float(np.linalg.norm(sizes * rounding)), leaks)
-        doubtful = self._doubtful(balance, sizes, number, felt.shape[1])
-        look = Look(
-            balance, gradient, basis, sizes, rounding, doubtful, feigned, length(blur), feigned, length(shortfall.terms)
-        )
-        off = max(feigned / UNDECIDED, length(look.displacement) / self._tolerance, leaks / LEAKS)
-        if noise > NOISE or off <= self._scale:  # more digits of data that are off in the seventh tell nothing
-            return look
-        return self._closer(level, shortfall, near, held, steepness, feigned, number)
+        return self._look(asked, balance, gradient, basis, sizes, rounding, feigned, length(blur), feigned), leaks
 
-    def _closer(
-        self,
-        level: Level,
-        shortfall: Shortfall,
-        near: NDArray[np.int_],
-        held: NDArray[np.bool_],
-        steepness: float,
-        feigned: float,
-        number: int,
-    ) -> Look:
+    def _closer(self, asked: Conditions, feigned: float) -> Look:
         """Return the same with twice the digits of doubles, from rows as they are given."""
+        level, shortfall, number = asked.level, asked.shortfall, asked.number
         felt = shortfall.felt.felt.shape[1]
         basis, sizes = whitened(shortfall.felt, weakly=not level.is_soft)
         turns, turn_as_given = self._turns(number, felt, len(sizes), closer=True)
         solved = self._hierarchy.cut_problem.levels[number] if self._hierarchy.is_cut(number) else level
         directions = self._directions(solved, shortfall, basis, number)
-        rounded, blur = _in_doubles(shortfall, sizes, ROUNDING)
+        rounded, blur = _gradient(shortfall, sizes, ROUNDING)
         of_step, gradient = length(blur), DoubleDouble.of(rounded)
         if not level.is_soft:
             own, blur[:felt] = exact_gradient(solved, directions[:, :felt], self._u)
             gradient = own.padded(len(sizes))
         lacking = gradient.where(np.abs(gradient.high) > blur)
-        balance = exactly_balanced(self._exact_rows(near), directions, lacking, held, sizes * turns)
-        rounding = blur + balance.turned(sizes, turns) + 0.5 * steepness * turn_as_given * sizes
-        doubtful, explained = self._doubtful(balance, sizes, number, felt), float(np.linalg.norm(sizes * rounding))
-        size = length(shortfall.terms)
-        return Look(balance, gradient.high, basis, sizes, rounding, doubtful, explained, of_step, feigned, size)
+        balance = exactly_balanced(self._exact_rows(asked.near), directions, lacking, asked.held, sizes * turns)
+        rounding = blur + balance.turned(sizes, turns) + 0.5 * asked.steepness * turn_as_given * sizes
+        explained = float(np.linalg.norm(sizes * rounding))
+        return self._look(asked, balance, gradient.high, basis, sizes, rounding, explained, of_step, feigned)
+
+    def _look(
+        self,
+        asked: Conditions,
+        balance: Balance,
+        gradient: Array,
+        basis: Array,
+        sizes: Array,
+        rounding: Array,
+        explained: float,
+        blur: float,
+        feigned: float,
+    ) -> Look:
+        doubtful = self._doubtful(balance, sizes, asked.number, asked.shortfall.felt.felt.shape[1])
+        size = length(asked.shortfall.terms)
+        return Look(balance, gradient, basis, sizes, rounding, doubtful, explained, blur, feigned, size)
 
     def _directions(self, level: Level, shortfall: Shortfall, basis: Array, number: int) -> DoubleDouble:
         """Return what a `basis` `(m, v)` of a level is as the levels above leave it, and as it is felt.
@@ -165,7 +200,7 @@ class Looks:
         return turns, as_given
 
 
-def _in_doubles(shortfall: Shortfall, sizes: Array, unit: float) -> tuple[Array, Array]:
+def _gradient(shortfall: Shortfall, sizes: Array, unit: float) -> tuple[Array, Array]:
     """Return a level's gradient in coordinates of such `sizes` `(v,)`, and its rounding; what it does not feel is zero."""
     felt = len(shortfall.gradient)
     gradient = np.concatenate([shortfall.gradient, np.zeros(len(sizes) - felt)])
