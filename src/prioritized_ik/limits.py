@@ -175,7 +175,7 @@ def contact_rows(
     for name, value in (("min_distance", min_distance), ("ahead", ahead), ("push_out", push_out)):
         non_negative(name, value)
     watched = max(positive("margin", margin), min_distance + _soon(touch, ahead))
-    near = np.flatnonzero(touch.distance < (watched if max_step is None else sensor.reach))
+    near = (touch.distance < (watched if max_step is None else sensor.reach)).nonzero()[0]
     distance, normal, point = touch.distance[near], touch.normal[near], touch.point[near]
     gradients = sensor.jacobians.at(data, point, near)
     if sensor.object_moves:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import compress
 from typing import TypeVar
 
 import numpy as np
@@ -30,6 +31,7 @@ from prioritized_ik.validation import (
     lengths,
     non_negative,
     one_of,
+    ones,
     read_only,
     shaped_array,
 )
@@ -91,7 +93,7 @@ class Level:
         checked = finite_array(f"matrix of level {name!r}", matrix, (None, None))
         k = checked.shape[0]
         if weights is None:
-            diagonal = _ones(k)
+            diagonal = ones(k)
         else:
             diagonal = finite_array(f"weights of level {name!r}", weights, (k,))
         if weights is not None and (diagonal < 0.0).any():
@@ -138,11 +140,16 @@ class Level:
         residual = self.residual(dtheta)
         return float(residual @ (self.weights * residual))
 
+    @cached_property
+    def row_lengths(self) -> Array:
+        """Length of each row `(k,)`."""
+        return lengths(self.matrix)
+
     @property
     def demand(self) -> float:
         """Length of what the level asks for, √(bᵀ W b), infinite targets aside."""
-        target = np.where(np.isfinite(self.target), self.target, 0.0)
-        return float(np.sqrt(self.weights @ target**2))
+        target = np.where(np.isfinite(self.target), self.target, 0.0) if self.is_soft else self.target
+        return math.sqrt(self.weights @ (target * target))
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -334,7 +341,7 @@ class IKProblem:
             ]
             name, width = next((name, width) for name, width in zip(names, widths, strict=True) if width != m)
             raise InputError(f"{name} has {width} joints; expected {m}, as many as {names[0]}.")
-        zeros, ones, free, without, no_equality = _nothing(m)
+        zeros, units, free, without, no_equality = _nothing(m)
         bounds, rows = bounds or free, rows or without
         equalities = equalities or no_equality
         _check_names(bounds, rows, equalities)
@@ -345,7 +352,7 @@ class IKProblem:
             rows=rows,
             reference=zeros if reference is None else finite_array("reference", reference, (m,)),
             equalities=equalities,
-            metric=ones if metric is None else _positive_metric(metric, m),
+            metric=units if metric is None else _positive_metric(metric, m),
             noise=fraction("noise", noise, below=NOISIEST),
         )
 
@@ -502,7 +509,7 @@ class IKProblem:
         scaled, u = self.in_metric, self.to_metric(np.asarray(dtheta, dtype=float))
         slack = scaled.inequalities.upper - scaled.inequalities.matrix @ u
         tight = (slack <= tolerance * scaled.row_lengths) & scaled.real_rows
-        return tuple(name for name, is_tight in zip(scaled.inequalities.names, tight, strict=True) if is_tight)
+        return _kept(scaled.inequalities.names, tight)
 
     @cached_property
     def zero_length(self) -> float:
@@ -516,7 +523,7 @@ class IKProblem:
     @cached_property
     def longest_row(self) -> float:
         """Length of the longest row in the metric, that of the last level included: one joint's step, of length one."""
-        longest = [1.0, *(lengths(level.matrix).max(initial=0.0) for level in self.in_metric.levels)]
+        longest = [1.0, *(level.row_lengths.max(initial=0.0) for level in self.in_metric.levels)]
         longest += [self.in_metric.row_lengths.max(initial=0.0), self.in_metric.equality_lengths.max(initial=0.0)]
         return float(max(longest))
 
@@ -524,13 +531,14 @@ class IKProblem:
     def real_rows(self) -> NDArray[np.bool_]:
         """Which of the `inequalities` `(r,)` are more than rounding, in a problem in its metric; bounds always are."""
         real = self.row_lengths > self.zero_length
-        real[: len(real) - int(np.isfinite(self.rows.upper).sum())] = True
+        real[: len(real) - np.count_nonzero(np.isfinite(self.rows.upper))] = True
         return read_only(real)
 
     @cached_property
     def row_lengths(self) -> Array:
         """Length of each of the `inequalities` `(r,)`."""
-        return read_only(lengths(self.inequalities.matrix))
+        bounded = len(self.inequalities.upper) - np.count_nonzero(np.isfinite(self.rows.upper))
+        return read_only(np.concatenate([ones(bounded), lengths(self.inequalities.matrix[bounded:])]))
 
     @cached_property
     def equality_lengths(self) -> Array:
@@ -570,7 +578,7 @@ def trusted_level(matrix: Array, target: Array, weights: Array, name: str) -> Le
 
 def trusted_problem(levels: tuple[Level, ...], bounds: Bounds | None, rows: Rows | None, m: int) -> IKProblem:
     """Return a problem of `m` joints with reference zero and without equalities, that needs no check: see `trusted`."""
-    zeros, ones, free, without, no_equality = _nothing(m)
+    zeros, units, free, without, no_equality = _nothing(m)
     return trusted(
         IKProblem,
         levels=levels,
@@ -578,7 +586,7 @@ def trusted_problem(levels: tuple[Level, ...], bounds: Bounds | None, rows: Rows
         rows=without if rows is None else rows,
         reference=zeros,
         equalities=no_equality,
-        metric=ones,
+        metric=units,
         noise=NOISE,
     )
 
@@ -622,7 +630,7 @@ def posed_problem(
     m = len(bounds.lower)
     if not all([level.joint_count == m for level in levels]):
         return IKProblem(levels, bounds, rows, equalities=equalities, metric=metric)  # which says whose
-    zeros, ones, _, without, no_equality = _nothing(m)
+    zeros, units, _, without, no_equality = _nothing(m)
     if rows is not without or equalities is not no_equality:
         _check_names(bounds, rows, equalities)
     return trusted(
@@ -632,20 +640,15 @@ def posed_problem(
         rows=rows,
         reference=zeros,
         equalities=equalities,
-        metric=ones if metric is None else metric,
+        metric=units if metric is None else metric,
         noise=NOISE,
     )
-
-
-@lru_cache(maxsize=64)
-def _ones(k: int) -> Array:
-    return read_only(np.ones(k))
 
 
 @lru_cache(maxsize=16)
 def _nothing(m: int) -> tuple[Array, Array, Bounds, Rows, Equalities]:
     """Return what problems of `m` joints have where nothing else is asked for."""
-    return read_only(np.zeros(m)), _ones(m), Bounds.none(m), Rows.none(m), Equalities.none(m)
+    return read_only(np.zeros(m)), ones(m), Bounds.none(m), Rows.none(m), Equalities.none(m)
 
 
 def replaced(record: Record, /, **fields: object) -> Record:
@@ -706,7 +709,7 @@ def _upper_side(what: str, upper: ArrayLike, count: int) -> Array:
 
 
 def _kept(names: tuple[str, ...], kept: NDArray[np.bool_]) -> tuple[str, ...]:
-    return tuple(name for name, keep in zip(names, kept, strict=True) if keep)
+    return tuple(compress(names, kept.tolist()))
 
 
 def _set(record: object, **values: object) -> None:

@@ -28,6 +28,12 @@ PROJECTION = 16.0
 #: [–] directions are never taken for less certain than this, however weak what a level kept
 UNSURE = 1e-6
 
+#: [–] A bound this many times what it is to be beyond is beyond it, whatever rounding makes of the bound.
+CLEARLY = 2.0
+
+#: [–] Steps of an estimate of a largest singular value, from the longest row: it is right to a few hundredths then.
+ESTIMATES = 3
+
 #: [–] A product of matrices of numbers with twice the digits of doubles is off by this much of a row and a column, a term.
 FINEST = 2.0**-90
 
@@ -61,6 +67,9 @@ LEAST_DEMAND = 1e-6
 
 #: [of the step] A displacement below this is rounding that no estimate foresaw.
 OFF = 1e-12
+
+#: [of what rounding of doubles can feign] A displacement longer than this is known in doubles, to a hundredth.
+PLAIN = 100.0
 
 #: [–] Turns of a basis with twice the digits of doubles; each gains as many digits as the level's weakest direction leaves.
 TURNS = 2

@@ -171,12 +171,29 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 def lengths(rows: Array) -> Array:
     """Return the length of each of `rows` `(r, n)`; several times faster than `numpy.linalg.norm` on small arrays."""
-    return np.sqrt(np.einsum("ij,ij->i", rows, rows))
+    return np.sqrt(np.vecdot(rows, rows))
 
 
 def length(vector: Array) -> float:
     """Return the length of a vector `(n,)`."""
     return math.sqrt(vector @ vector)
+
+
+def size(matrix: Array) -> float:
+    """Return the Frobenius norm of a matrix; several times faster than `numpy.linalg.norm` on small arrays."""
+    return math.sqrt(np.vdot(matrix, matrix))
+
+
+@lru_cache(maxsize=64)
+def identity(m: int) -> Array:
+    """Return the identity matrix `(m, m)`, read-only."""
+    return read_only(np.eye(m))
+
+
+@lru_cache(maxsize=64)
+def ones(k: int) -> Array:
+    """Return ones `(k,)`, read-only."""
+    return read_only(np.ones(k))
 
 
 def _number(value: object) -> float:

@@ -1,5 +1,7 @@
 """The arithmetic of a proof: rows that are nearly parallel in what is left, and directions turned by rounding."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -34,7 +36,7 @@ def answer(rows: np.ndarray, decides: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("angle", [0.0, 1e-10, 1e-6])
 def test_what_is_left_is_turned_back_to_where_rows_do_not_feel_it_to_their_last_digit(seed, angle):
     rows, decides, free = split(seed)
-    decided = Decided((Decision(rows, answer(rows, decides), WEAK, is_rounded=False),))
+    decided = Decided((Decision(rows, partial(answer, rows, decides), WEAK, is_rounded=False),))
     turned = free + angle * np.outer(decides[:, -1], [1.0, 0.0, 0.0])
     left = decided.left(turned, 1)
     felt = np.abs((DoubleDouble.of(rows) @ left).rounded).max()
@@ -47,8 +49,8 @@ def test_what_one_level_leaves_stays_so_where_the_next_one_is_left_too():
     rows, _, free = split(0)
     first = np.linalg.svd(rows[:2])[2]
     own = first[2:].T @ np.linalg.svd(rows[2:] @ first[2:].T)[2][:3].T
-    one = Decision(rows[:2], answer(rows[:2], first[:2].T), 1.0, is_rounded=False)
-    decided = Decided((one, Decision(rows[2:], answer(rows[2:], own), WEAK, is_rounded=False)))
+    one = Decision(rows[:2], partial(answer, rows[:2], first[:2].T), 1.0, is_rounded=False)
+    decided = Decided((one, Decision(rows[2:], partial(answer, rows[2:], own), WEAK, is_rounded=False)))
     turned = free + 1e-8 * np.outer(own[:, 0] + first[0], [0.0, 1.0, 0.0])
     assert np.abs((DoubleDouble.of(rows) @ decided.left(turned, 2)).rounded).max() < 1e-24
     assert np.abs((DoubleDouble.of(rows[2:]) @ decided.left(turned, 1)).rounded).max() > 1e-12
@@ -56,7 +58,7 @@ def test_what_one_level_leaves_stays_so_where_the_next_one_is_left_too():
 
 def test_rows_that_a_metric_rounded_leave_half_a_unit_in_their_last_place():
     rows, decides, _ = split(0)
-    decided = Decided((Decision(rows, answer(rows, decides), WEAK, is_rounded=True),))
+    decided = Decided((Decision(rows, partial(answer, rows, decides), WEAK, is_rounded=True),))
     assert decided.turn(1) == decided.given(1) == 0.5 * EPS / WEAK
 
 
@@ -64,7 +66,7 @@ def test_of_parallel_rows_the_one_that_moves_balances_the_gradient():
     rows = np.array([[1e-9, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     basis, held = np.eye(3)[:, :2], np.array([True, True, False])
     for gradient in ([-1.0, -0.5], [1.0, -0.5]):
-        balance = balanced(rows, basis, np.array(gradient), held, np.zeros(2), ROUNDING)
+        balance = balanced(rows, basis, np.array(gradient), held, np.zeros(2), ROUNDING, np.zeros(2))
         multipliers = balance.multipliers / balance.sizes
         assert np.abs(balance.rest).max() < 1e-15
         assert np.abs(multipliers).sum() < 2.0
@@ -76,7 +78,7 @@ def test_a_row_that_none_above_holds_never_gets_a_negative_multiplier_for_the_sa
     basis, held = np.eye(3)[:, :2], np.array([False, True, False])
     for seed in range(50):
         gradient = np.random.default_rng(seed).normal(size=2)
-        balance = balanced(rows, basis, gradient, held, np.zeros(2), ROUNDING)
+        balance = balanced(rows, basis, gradient, held, np.zeros(2), ROUNDING, np.zeros(2))
         assert (balance.multipliers[~held] >= 0.0).all()
 
 
@@ -84,8 +86,10 @@ def test_what_is_rounding_of_a_row_balances_nothing():
     """Either row moves the first joint alone, but for rounding, which would balance everything."""
     rows = np.array([[1.0, 1e-9, 0.0], [1.0, -1e-9, 0.0]])
     basis, gradient, held = np.eye(3)[:, :2], np.array([-1.0, -1e-3]), np.array([True, True])
-    assert np.abs(balanced(rows, basis, gradient, held, np.zeros(2), ROUNDING).rest).max() < 1e-9
-    assert balanced(rows, basis, gradient, held, np.full(2, 1e-8), ROUNDING).rest == pytest.approx([0.0, -1e-3])
+    assert np.abs(balanced(rows, basis, gradient, held, np.zeros(2), ROUNDING, np.zeros(2)).rest).max() < 1e-9
+    assert balanced(rows, basis, gradient, held, np.full(2, 1e-8), ROUNDING, np.zeros(2)).rest == pytest.approx(
+        [0.0, -1e-3]
+    )
     twofold = [DoubleDouble.of(numbers) for numbers in (rows, basis, gradient)]
     assert exactly_balanced(*twofold, held, np.zeros(2)).rest == pytest.approx([0.0, 0.0], abs=1e-20)
     assert exactly_balanced(*twofold, held, np.full(2, 1e-8)).rest == pytest.approx([0.0, -1e-3])

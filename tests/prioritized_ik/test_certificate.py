@@ -15,6 +15,7 @@ from prioritized_ik.solvers.certificate import Certificate, Proof, certify
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.lexicographic import SolveOptions
+from prioritized_ik.solvers.looks import Looks
 from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.solve import solve
 from prioritized_ik.tolerances import CERTIFIED, FLOOR, GAP, UNDECIDED
@@ -713,3 +714,12 @@ def test_what_a_weak_level_settles_is_not_settled_for_those_above() -> None:
     shut = [-8191.093711017985, -1.0000114395660806, 1.0]
     assert not certify(IKProblem(levels, rows=limits), shut).holds
     assert not certify(IKProblem([*levels, weak], rows=limits), shut).holds
+
+
+def test_a_step_that_is_plainly_off_is_not_looked_at_with_more_digits(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = constrained_steps()[0]
+    step = solve(problem, options=SolveOptions(rank_tolerance=RANK_TOLERANCE)).dtheta
+    monkeypatch.setattr(Looks, "_closer", None)
+    for size in (1e-1, 1e-3, 1e-5):
+        for other in moved(step, size, 3)[:3]:
+            assert not certify(problem, other, RANK_TOLERANCE).is_optimal

@@ -6,12 +6,18 @@ import scipy.optimize
 from tolerances import ROUNDING
 
 from prioritized_ik.solvers.subspaces import (
+    about_largest,
+    are_independent,
+    clear_range,
     directions_left,
     divided,
+    least_squares,
     nonnegative_least_squares,
     null_space,
     pivoted_qr,
+    pseudoinverse,
     range_of,
+    singular_values,
 )
 from prioritized_ik.tolerances import DEPENDENT
 
@@ -182,6 +188,80 @@ def test_a_combination_that_is_not_found_is_none_at_all_and_infinitely_far(monke
     assert (x.tolist(), distance) == ([0.0, 0.0], np.inf)
     # So that rows of which it is not known whether they leave room are no equalities.
     assert directions_left(np.eye(3), unit([X, -X]), NARROW, SETTLED).shape == (3, 3)
+
+
+def with_singular_values(values: list[float], shape: tuple[int, int], seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    left, right = (np.linalg.qr(rng.normal(size=(n, n)))[0] for n in shape)
+    return left[:, : len(values)] * values @ right[:, : len(values)].T
+
+
+SHAPES = [(3, 7), (7, 3), (5, 5)]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_range_is_clear_where_a_pivoted_qr_leaves_zeros_and_all_else_is_far_from_the_cut(shape):
+    for values in ([2.0, 1.0, 1e-2], [1.0, 0.1]):
+        rows = with_singular_values(values, shape)
+        basis, p, weakest = clear_range(rows, 1e-4)
+        assert p == len(values)
+        assert_orthonormal(basis)
+        assert np.abs(rows @ basis[:, p:]).max(initial=0.0) <= ROUNDING
+        assert np.linalg.svd(rows @ basis[:, :p])[1][p - 1] == pytest.approx(values[-1], rel=ROUNDING)
+        assert 0.3 * values[-1] <= weakest <= 1.1 * values[-1]
+    for values in ([1.0, 1e-5], [1.0, 1e-4], [1.0, 1e-13]):
+        assert clear_range(with_singular_values(values, shape), 1e-4) is None
+    basis, p, weakest = clear_range(np.zeros(shape), 1e-4)
+    assert (p, weakest) == (0, np.inf)
+    assert_orthonormal(basis)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_largest_singular_value_is_estimated_to_a_few_hundredths_whatever_its_size(shape):
+    for seed in range(20):
+        for size in (1e-90, 1.0, 1e90):
+            matrix = size * np.random.default_rng(seed).normal(size=shape)
+            largest = np.linalg.svd(matrix)[1][0]
+            assert 0.9 * largest <= about_largest(matrix) <= largest * (1.0 + ROUNDING)
+    assert about_largest(np.zeros(shape)) == 1.0
+
+
+def test_rows_are_independent_where_every_combination_is_clearly_longer_than_the_least():
+    assert are_independent(np.zeros((0, 4)), 1e-9)
+    assert are_independent(with_singular_values([1.0, 1e-3], (2, 4)), 1e-4)
+    assert not are_independent(with_singular_values([1.0, 1e-3], (2, 4)), 1e-3)
+    assert not are_independent(with_singular_values([1.0, 1e-3], (3, 4)), 1e-9)
+    assert not are_independent(with_singular_values([1.0, 1.0], (3, 2)), 1e-9)
+    assert not are_independent(np.zeros((1, 4)), 1e-9)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_least_squares_are_unique_or_none_and_of_some_columns_as_near(shape):
+    k, rng = min(shape), np.random.default_rng(0)
+    target = rng.normal(size=shape[0])
+    for values in (np.geomspace(1.0, 1e-3, k), np.geomspace(1.0, 1e-3, k - 1)):
+        columns = with_singular_values(list(values), shape)
+        nearest = np.linalg.lstsq(columns, target)[0]
+        unique, some = least_squares(columns, target), least_squares(columns, target, some=True)
+        if len(values) == shape[1]:
+            assert unique == pytest.approx(nearest, rel=1e-11)
+        else:
+            assert unique is None
+        assert np.count_nonzero(some) == len(values)
+        assert columns @ some == pytest.approx(columns @ nearest, abs=1e-11)
+
+
+@pytest.mark.parametrize("shape", [*SHAPES, (0, 4), (4, 0)])
+def test_a_pseudoinverse_and_singular_values_are_those_of_numpy(shape):
+    for values in ([1.0, 1e-2, 1e-4], [1.0, 1e-2], [1.0, 1e-13]):
+        rows = with_singular_values(values[: min(shape)], shape)
+        expected = np.linalg.pinv(rows, rcond=DEPENDENT)
+        assert pseudoinverse(rows) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        for full in (False, True) if rows.size else ():
+            u, s, vt = singular_values(rows, full=full)
+            assert s == pytest.approx(np.linalg.svd(rows)[1], abs=ROUNDING)
+            assert (u[:, : len(s)] * s) @ vt[: len(s)] == pytest.approx(rows, abs=ROUNDING)
+            assert u.shape[1] == (shape[0] if full else len(s))
 
 
 # Coordinates within some directions.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from prioritized_ik.solvers.blocks import HARD
 from prioritized_ik.solvers.certificate import Proof
 from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.solvers.subspaces import Range
+from prioritized_ik.solvers.subspaces import Range, are_independent, pseudoinverse, singular_values
 from prioritized_ik.tolerances import (
     CERTIFIED,
     DEPENDENT,
@@ -28,7 +28,7 @@ from prioritized_ik.tolerances import (
     ROUNDING,
     ROWS_PER_SEARCH,
 )
-from prioritized_ik.validation import Array, length, lengths
+from prioritized_ik.validation import Array, identity, length, lengths
 
 Active = NDArray[np.bool_]
 
@@ -103,11 +103,10 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
             continue
         u = target
         proof = Proof(hierarchy, u, searching=True)
-        if proof.certificate.holds:
-            u, proof, active = _from_all_tight_rows(hierarchy, u, proof, active)
-            return Solution(u, proof, active, iterations, converged=True, trace=tuple(trace))
         if proof.certificate.is_optimal:
-            flat = u, proof, active
+            flat = u, proof, active = _from_all_tight_rows(hierarchy, u, proof, active)
+            if proof.certificate.holds:
+                return Solution(u, proof, active, iterations, converged=True, trace=tuple(trace))
         refined = _refined(hierarchy, u, proof)
         if refined is not None:
             u, proof, active = _from_all_tight_rows(hierarchy, *refined, active)
@@ -142,8 +141,7 @@ def _at_bounds(hierarchy: Hierarchy, active: Active, u: Array) -> Array:
     Large multipliers make much of what rounding leaves of a slack.
     """
     rows = hierarchy.rows
-    numbers = np.flatnonzero(active & (rows.joint >= 0))
-    joints = rows.joint[numbers]
+    numbers, joints = rows.bounds_among(active.nonzero()[0])
     bounds = rows.upper[numbers] * rows.matrix[numbers, joints]  # which is 1 or -1
     near = np.abs(u[joints] - bounds) <= ROUNDING * length(u)
     u = u.copy()
@@ -187,10 +185,20 @@ def _held(
         y, and the combinations `(t, k)` of the rows that are left to the levels below, orthonormal.
     """
     below = to_hold @ felt.unfelt
-    combinations, k = np.eye(len(to_hold)), 0
+    if not len(to_hold):
+        return wanted, identity(0)
+    combinations, k = identity(len(to_hold)), 0
     if below.size:
-        combinations, strengths, _ = np.linalg.svd(below, full_matrices=len(below) > below.shape[1])
-        k = int(np.count_nonzero(strengths > hierarchy.least(below.shape[1], number)))
+        least = hierarchy.least(below.shape[1], number)
+        moving = lengths(below) > hierarchy.settled_by(number)
+        k = int(np.count_nonzero(moving))
+        if are_independent(below[moving], least):
+            if k == len(below):
+                return wanted, combinations
+            combinations = combinations[:, np.argsort(~moving, kind="stable")]
+        else:
+            combinations, strengths, _ = singular_values(below, full=len(below) > below.shape[1])
+            k = int(np.count_nonzero(strengths > least))
     mine = combinations[:, k:].T
     mine = mine[lengths(mine @ (to_hold @ free)) > DEPENDENT]  # the rest copies other rows
     if not len(mine):
@@ -199,7 +207,7 @@ def _held(
     sizes = lengths(normals)
     sizes[sizes == 0.0] = 1.0
     normals, sides = normals / sizes[:, None], mine @ gaps / sizes
-    inverse = np.linalg.pinv(normals, rcond=DEPENDENT)
+    inverse = pseudoinverse(normals)
     move = wanted + inverse @ (sides - normals @ wanted)
     # Once more: the first time leaves the rounding of `wanted`, which can be large against the move.
     return move + inverse @ (sides - normals @ move), combinations[:, :k]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from prioritized_ik.problem import Level
 from prioritized_ik.solvers.double_double import DoubleDouble
-from prioritized_ik.solvers.subspaces import Range, nonnegative_least_squares
+from prioritized_ik.solvers.subspaces import Range, least_squares, nonnegative_least_squares, pseudoinverse
 from prioritized_ik.tolerances import BALANCINGS, DEPENDENT, EPS, FINEST, ROUNDING, TURNS, UNFELT
 from prioritized_ik.validation import Array, length, lengths
 
@@ -21,7 +21,7 @@ def farthest(rows: Array, room: Array, basis: Array) -> float:
     """Return how far a step within `basis` `(m, v)` can go that moves `rows` `(t, m)` by anything up to `room` `(t,)`."""
     if not room.any():
         return 0.0
-    ways = basis @ np.linalg.pinv(rows @ basis, rcond=DEPENDENT)
+    ways = basis @ pseudoinverse(rows @ basis)
     return float(lengths(ways.T) @ room)
 
 
@@ -31,11 +31,14 @@ def whitened(range_: Range, *, weakly: bool = False) -> tuple[Array, Array]:
     Those it does not feel are there at `UNFELT`, or `weakly`: as little felt as the weakest one that is.
     """
     felt_lengths = lengths(range_.felt.T)
-    unfelt = min(felt_lengths, default=1.0) / UNFELT
+    if not range_.unfelt.shape[1]:
+        return range_.felt, felt_lengths
+    unfelt = (float(felt_lengths.min()) if len(felt_lengths) else 1.0) / UNFELT
     if weakly:
         unfelt = max(felt_lengths.max(initial=0.0), unfelt)
     unfelt_lengths = np.full(range_.unfelt.shape[1], unfelt)
-    return np.hstack([range_.felt, range_.unfelt * unfelt_lengths]), np.concatenate([felt_lengths, unfelt_lengths])
+    basis = np.concatenate([range_.felt, range_.unfelt * unfelt], axis=1)
+    return basis, np.concatenate([felt_lengths, unfelt_lengths])
 
 
 def exact_gradient(level: Level, felt: DoubleDouble, u: Array) -> tuple[DoubleDouble, Array]:
@@ -82,14 +85,19 @@ class Balance:
     rest: Array
     rounding: Array
 
-    @property
+    @cached_property
+    def pulls(self) -> Array:
+        """The multipliers of rows of unit length `(t,)`."""
+        return self.multipliers / self.sizes
+
+    @cached_property
     def pulled(self) -> float:
         """What rows of unit length pull, together."""
-        return float(np.abs(self.multipliers / self.sizes).sum())
+        return float(np.abs(self.pulls).sum())
 
     def turned(self, sizes: Array, turns: Array) -> Array:
         """Return the rounding `(v,)` where coordinates of such `sizes` can be off by such angles."""
-        return self.rounding + sizes * turns * self.pulled
+        return self.rounding + sizes * turns * self.pulled if self.pulled else self.rounding
 
 
 @dataclass(frozen=True)
@@ -124,12 +132,17 @@ class Look:
     def beyond(self) -> Array:
         """The rest beyond its rounding `(v,)`."""
         rest = self.balance.rest
-        return np.sign(rest) * np.maximum(np.abs(rest) - self.rounding, 0.0)
+        return rest - np.minimum(np.maximum(rest, -self.rounding), self.rounding)
+
+    @cached_property
+    def is_off(self) -> bool:
+        """Whether there is any."""
+        return bool(np.count_nonzero(self.beyond))
 
     @cached_property
     def displacement(self) -> Array:
         """That, as a step `(m,)`."""
-        return -(self.basis @ self.beyond)
+        return -(self.basis @ self.beyond) if self.is_off else np.zeros(len(self.basis))
 
     def falls(self, felt: int, carrying: NDArray[np.bool_], given: float) -> bool:
         """Whether the level's cost falls along what it does not feel, all but the first `felt` coordinates.
@@ -137,22 +150,44 @@ class Look:
         `carrying` rows `(t,)` that hardly move there hold the level only until another one is in the way. What rounding of
         the step, or half a unit in the last place of what is `given`, makes of their multipliers, is none.
         """
-        normals, rest = np.abs(self.balance.normals), length(self.beyond[felt:])
+        rest = length(self.beyond[felt:])
+        if not rest:
+            return False
+        normals = self.balance.normals
         seen, unseen = lengths(normals[:, :felt]), lengths(normals[:, felt:])
         used = carrying & (seen > 0.0)
         share = float((unseen[used] / seen[used]).max(initial=0.0))
         return bool(used.any()) and rest > self.blur * share + length(self.sizes[felt:]) * given * self.balance.pulled
 
 
-def balanced(rows: Array, basis: Array, gradient: Array, held: NDArray[np.bool_], little: Array, noise: float) -> Balance:
+def balanced(
+    rows: Array, basis: Array, gradient: Array, held: NDArray[np.bool_], little: Array, noise: float, blur: Array
+) -> Balance:
     """Return how far `rows` `(t, m)` in the coordinates of `basis` `(m, v)` can balance a gradient `(v,)`, in doubles.
 
-    What a row of unit length feels of a coordinate up to `little` `(v,)` is rounding, which could balance anything.
+    What a row of unit length feels of a coordinate up to `little` `(v,)` is rounding, which could balance anything; and
+    what the gradient is off by up to `blur` `(v,)` is not to be balanced.
     """
     cone = rows @ basis
     cone[np.abs(cone) <= little] = 0.0
     normals, sizes = _directed(cone)
     multipliers = _multipliers(normals, sizes, gradient, held)
+    if not np.count_nonzero(multipliers):
+        return Balance(normals, sizes, multipliers, gradient, np.zeros(len(gradient)))
+    balance = _of_multipliers(normals, sizes, gradient, noise, multipliers)
+    large = np.abs(multipliers) > length(blur)
+    if np.count_nonzero(large) < np.count_nonzero(multipliers):  # the others balance rounding, if these do without
+        alone = least_squares(normals[large].T, -gradient)
+        if alone is not None and (held[large] | (alone > 0.0)).all():
+            multipliers = np.zeros(len(large))
+            multipliers[large] = alone
+            fewer = _of_multipliers(normals, sizes, gradient, noise, multipliers)
+            if (np.abs(fewer.rest) <= blur + fewer.rounding).all():
+                return fewer
+    return balance
+
+
+def _of_multipliers(normals: Array, sizes: Array, gradient: Array, noise: float, multipliers: Array) -> Balance:
     rest = gradient + multipliers @ normals
     return Balance(normals, sizes, multipliers, rest, noise * (np.abs(multipliers) @ np.abs(normals)))
 
@@ -189,11 +224,17 @@ def _directed(cone: Array) -> tuple[Array, Array]:
 
 def _multipliers(normals: Array, sizes: Array, gradient: Array, held: NDArray[np.bool_]) -> Array:
     """Return the multipliers `(t,)` of `normals` `(t, v)` that balance a gradient best, of either sign if `held`."""
-    if not len(normals) or not gradient.any():
+    if not len(normals) or not np.count_nonzero(gradient):
         return np.zeros(len(normals))
-    both, _ = nonnegative_least_squares(np.vstack([normals, -normals[held]]).T, -gradient)
+    some_held = np.count_nonzero(held)
+    found = least_squares(normals.T, -gradient, some=True)
+    if found is not None and (held | (found >= 0.0)).all():
+        is_unique = np.count_nonzero(found) == len(found)
+        if is_unique or length(gradient + found @ normals) <= ROUNDING * length(gradient):
+            return _least(normals, sizes, gradient, held, found) if some_held and not is_unique else found
+    both, _ = nonnegative_least_squares((np.concatenate([normals, -normals[held]]) if some_held else normals).T, -gradient)
     multipliers = both[: len(normals)]
-    if not held.any():
+    if not some_held:
         return multipliers
     multipliers[held] -= both[len(normals) :]
     return _least(normals, sizes, gradient, held, multipliers)
@@ -208,7 +249,7 @@ def _least(normals: Array, sizes: Array, gradient: Array, held: NDArray[np.bool_
     used = (found > 0.0) | held
     least = np.zeros(len(normals))
     cone = normals * sizes[:, None]
-    least[used] = sizes[used] * np.linalg.lstsq(cone[used].T, -gradient, rcond=DEPENDENT)[0]
+    least[used] = -sizes[used] * (gradient @ pseudoinverse(cone[used]))
     if (least[~held] < 0.0).any():
         return found
     before, after = length(gradient + found @ normals), length(gradient + least @ normals)

@@ -11,7 +11,7 @@ from prioritized_ik.problem import Level, replaced
 from prioritized_ik.solvers.closed_form import Spectrum, level_decomposition
 from prioritized_ik.solvers.subspaces import Range, divided, pivoted_qr, range_of
 from prioritized_ik.tolerances import DEPENDENT, EPS, PROJECTION, UNSURE
-from prioritized_ik.validation import Array, length, lengths
+from prioritized_ik.validation import Array, length, lengths, size
 
 HARD = -1  # the level of hard rows
 
@@ -99,7 +99,7 @@ class EqualBlock:
         """Return what the level lacks at `u`."""
         felt = self.within(free)
         terms = self.terms + self.spread @ np.abs(u)
-        strength = float(np.linalg.norm(self.root))
+        strength = size(self.root)
         return Shortfall(felt, -felt.project(self.missing(u)), felt.project_sizes(terms), strength, 0.0)
 
 
@@ -168,14 +168,20 @@ class PooledRows:
     little: tuple[tuple[int, NDArray[np.int_]], ...]
 
     @cached_property
-    def joint(self) -> NDArray[np.int_]:
-        """By row the number of the joint that it bounds `(r,)`; negative for rows of soft levels and of several joints."""
-        bounds = (self.level == HARD) & (np.count_nonzero(self.matrix, axis=1) == 1)
-        return np.where(bounds, np.abs(self.matrix).argmax(axis=1), -1)
+    def has_drift(self) -> bool:
+        """Whether there is any."""
+        return bool(self.little)
+
+    def bounds_among(self, numbers: NDArray[np.int_]) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+        """Return which of the rows of such `numbers` bound one joint, `(b,)`, and the numbers of the joints `(b,)`."""
+        some = (self.level[numbers] == HARD) & (np.count_nonzero(self.matrix[numbers], axis=1) == 1)
+        bounds = numbers[some]
+        return bounds, np.abs(self.matrix[bounds]).argmax(axis=1) if len(bounds) else bounds
 
     def slack(self, u: Array) -> Array:
         """Return how far `u` is from each row `(r,)`; negative where it is exceeded."""
-        return self.upper - self.matrix @ u - self.drift @ u
+        slack = self.upper - self.matrix @ u
+        return slack - self.drift @ u if self.has_drift else slack
 
     def reach(self, numbers: NDArray[np.int_], free: Array) -> Array:
         """Return how far rows move along the `free` directions at most, by number, as a fraction of their length."""
@@ -209,7 +215,7 @@ def equal_block(level: Level, free: Array, rank_tolerance: float, settled: float
     if free.shape[1] < len(free):  # what the levels above decide moves this one too
         whole = whitening @ level.matrix
         matrix = matrix + without(whole, free)
-    blur = min(PROJECTION * EPS / float(spectrum.kept[-1]), UNSURE) if len(spectrum.kept) else 0.0
+    blur = min(PROJECTION * EPS / spectrum.weakest, UNSURE)
     return EqualBlock(
         free,
         felt,

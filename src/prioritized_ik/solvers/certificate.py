@@ -29,7 +29,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from prioritized_ik.problem import IKProblem, Level, trusted
+from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers.balance import Look, farthest, whitened
 from prioritized_ik.solvers.blocks import HARD, EqualBlock, Shortfall
 from prioritized_ik.solvers.hierarchy import Hierarchy
@@ -37,7 +37,7 @@ from prioritized_ik.solvers.level_proof import LevelProof
 from prioritized_ik.solvers.looks import Conditions, Looks
 from prioritized_ik.solvers.subspaces import Range
 from prioritized_ik.tolerances import CERTIFIED, GAP, LEAST_DEMAND, NOTHING, OFF, ROUNDING, UNDECIDED
-from prioritized_ik.validation import Array, finite_array, length, lengths, tolerance_above_rounding
+from prioritized_ik.validation import Array, finite_array, length, lengths, size, tolerance_above_rounding
 
 FAR = 1e300  # a row that no level above holds can move any way
 
@@ -167,13 +167,15 @@ class Proof:
             tuple(level.relative_gap for level in self.levels),
             tuple(level.excess / self.scale for level in self.levels),
             tuple(level.rounding / self.scale for level in self.levels),
-            tuple(tuple(names[i] for i in np.flatnonzero(level.multipliers > 0.0)) for level in self.levels),
+            tuple(tuple(names[i] for i in (level.multipliers > 0.0).nonzero()[0]) for level in self.levels),
             self.tolerance,
         )
 
     def _keeping(self) -> Array:
         """Return the displacement `(m,)` that would keep equalities and frozen joints; zero if that is rounding."""
         kept = self._hierarchy.kept
+        if not len(kept.matrix):
+            return np.zeros(len(self._u))
         displacement = kept.answer @ (kept.matrix @ (kept.start - self._u))
         return displacement if length(displacement) > ROUNDING * self.scale else np.zeros(len(displacement))
 
@@ -185,39 +187,34 @@ class Proof:
     def _violation(self) -> float:
         hierarchy, rows = self._hierarchy, self._hierarchy.rows
         equalities = hierarchy.problem.equalities
+        worst = abs(float(self.slack.min(initial=0.0, where=rows.level == HARD)))
+        if not len(equalities.target):
+            return worst
         off = np.abs(equalities.matrix @ self._u - equalities.target) / lengths(equalities.matrix)
-        broken = -self.slack[rows.level == HARD]
-        return max(0.0, float(off.max(initial=0.0)), float(broken.max(initial=0.0)))
+        return max(worst, float(off.max()))
 
     def _prove(self) -> Iterator[LevelProof]:
         hierarchy, rows, u = self._hierarchy, self._hierarchy.rows, self._u
-        free, near = hierarchy.free, np.flatnonzero(self.near & (rows.level == HARD))
+        free, near = hierarchy.free, (self.near & (rows.level == HARD)).nonzero()[0]
         for number, (level, block) in enumerate(zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)):
             shortfall = block.shortfall(rows, self.slack, self.exceeded, u, free)
             self._looks.settle(near, shortfall.felt.unfelt, number)
             yield self._proof(level, block.demand, shortfall, free, near, number)
-            if not isinstance(block, EqualBlock):
-                # None may be exceeded by more than it is, and none by less without costing the level: they hold.
-                own = self.exceeded & (rows.level == number)
-                free = shortfall.felt.unfelt if own.any() else free
-                near = np.concatenate([near, np.flatnonzero(self.near & (rows.level == number))])
-            else:
+            if isinstance(block, EqualBlock):
                 free = shortfall.felt.unfelt
                 self._looks.passed(block, number)
+            else:
+                # None may be exceeded by more than it is, and none by less without costing the level: they hold.
+                own = self.exceeded & (rows.level == number)
+                free = shortfall.felt.unfelt if np.count_nonzero(own) else free
+                near = np.concatenate([near, np.flatnonzero(self.near & (rows.level == number))])
             # Rows that hold a level hold it by themselves: what they leave together is not for others to tell.
-            self._looks.settle(np.flatnonzero(np.isfinite(self._leak)), free, number)
+            self._looks.settle(np.isfinite(self._leak).nonzero()[0], free, number)
         reference = hierarchy.problem.reference
         terms = np.abs(free.T) @ (np.abs(u) + np.abs(reference))
-        size = length(u) + length(reference)
+        longest = length(u) + length(reference)
         last = Shortfall(Range(free, free[:, :0], None), free.T @ (u - reference), terms, 1.0, 0.0)
-        identity = np.eye(len(u))
-        own = trusted(Level, matrix=identity, target=reference, weights=np.ones(len(u)), name="last level", kind="equal")
-        yield self._proof(own, size, last, free, near, len(hierarchy.blocks))
-
-    def _sensitivity(self, level: Level) -> tuple[float, float]:
-        """Return the length of the gradient of a level's cost, and ‖W^½ A‖."""
-        steepness = 2.0 * length(level.matrix.T @ (level.weights * level.residual(self._u)))
-        return steepness, float(np.linalg.norm(np.sqrt(level.weights)[:, None] * level.matrix))
+        yield self._proof(hierarchy.last_level, longest, last, free, near, len(hierarchy.blocks))
 
     def _proof(
         self,
@@ -229,47 +226,51 @@ class Proof:
         number: int,
     ) -> LevelProof:
         """Return the proof of a level from what it lacks in `free` and the numbers of the rows that may hold it back."""
-        near = near[lengths(self._looks.rows[near] @ free) > self._hierarchy.settled_by(number - 1)]
+        if len(near):
+            near = near[lengths(self._looks.rows[near] @ free) > self._hierarchy.settled_by(number - 1)]
         held = np.isfinite(self._leak[near])  # by a level above: of either sign here
-        steepness, strength = self._sensitivity(level)
-        felt = shortfall.felt.felt
-        follows = strength * float(np.linalg.norm(felt)) if felt.size else 0.0
-        look = self._looks.at(Conditions(level, shortfall, near, held, follows, steepness, number))
-        net = look.balance.multipliers
-        terms = look.size + np.abs(net).sum() + shortfall.strength * self.scale
-        counts = np.abs(net) > np.maximum(NOTHING * terms, look.doubtful)
-        pull = net / look.balance.sizes
-        slack = np.abs(self.slack[near])
-        back = held & (net < 0.0)
-        # Weak duality, see above. Along what it does not feel a level's cost falls as far as steps of this size go.
-        apart = slack > ROUNDING * self.scale  # the others are on their rows but for the rounding of the step itself
-        gap = 2.0 * float(np.abs(pull) @ np.where(back, np.minimum(self._leak[near], FAR), np.where(apart, slack, 0.0)))
-        lower = float(look.beyond @ look.beyond) + 2.0 * length((look.beyond / look.sizes)[felt.shape[1] :]) * self.scale
+        residual, felt = level.residual(self._u), shortfall.felt.felt
+        pulled = level.weights * residual
+        cost, steepness = float(residual @ pulled), 2.0 * length(pulled @ level.matrix)
+        strength = math.sqrt(level.weights @ level.row_lengths**2)  # ‖W^½ A‖
+        follows = strength * size(felt)
+        look = self._looks.at(Conditions(level, shortfall, near, held, cost, follows, steepness, number))
         excess, rounding = length(look.displacement), float(look.rounding @ look.rounding)
-        mended = 0.0  # by a displacement that is rounding of the step
-        if excess > OFF * self.scale:
-            gap += lower
-        else:
-            excess, mended = 0.0, lower
-        multipliers = np.zeros(len(self.slack))
-        multipliers[near] = np.where(counts, pull, 0.0)
-        first = near[~held & (multipliers[near] > 0.0)]
-        self._leak[first] = (gap + rounding) / multipliers[first]
-        carrying = counts & ~back
-        loosened = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free, number)
-        self._loose = max(self._loose, self._evaded(near[carrying], look, shortfall.felt, number))
-        if look.falls(felt.shape[1], carrying, self._hierarchy.decided.given(2 + number)):
-            loosened = max(loosened, self.scale)  # until a row is in the way, which may be as far as that
-        loosened = max(loosened, self._restored(free, number))
-        drawn, above, handed = self._follow(level, felt, near, pull, look.displacement)
+        gap = carried = 0.0
+        if look.is_off:
+            # Along what it does not feel a level's cost falls as far as steps of this size go.
+            unfelt = length((look.beyond / look.sizes)[felt.shape[1] :])
+            gap = float(look.beyond @ look.beyond) + 2.0 * unfelt * self.scale
+        if not excess > OFF * self.scale:  # what a displacement mends that is rounding of the step
+            excess, gap, carried = 0.0, 0.0, gap
+        multipliers, pull, loosened = np.zeros(len(self.slack)), look.balance.pulls, self._restored(free, number)
+        if np.count_nonzero(pull):
+            slack, back = np.abs(self.slack[near]), held & (pull < 0.0)
+            # Weak duality, see above.
+            apart = slack > ROUNDING * self.scale  # the others are on their rows but for the rounding of the step itself
+            room = np.where(back, np.minimum(self._leak[near], FAR), np.where(apart, slack, 0.0))
+            gap += 2.0 * float(np.abs(pull) @ room)
+            carried += 2.0 * float(np.abs(pull) @ np.where(apart, 0.0, slack))
+            net = np.abs(look.balance.multipliers)
+            counts = net > np.maximum(NOTHING * (look.size + net.sum() + shortfall.strength * self.scale), look.doubtful)
+            multipliers[near] = np.where(counts, pull, 0.0)
+            first = near[~held & (multipliers[near] > 0.0)]
+            self._leak[first] = (gap + rounding) / multipliers[first]
+            carrying = counts & ~back
+            if np.count_nonzero(carrying):
+                far = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free, number)
+                self._loose = max(self._loose, self._evaded(near[carrying], look, shortfall.felt, number))
+                if look.falls(felt.shape[1], carrying, self._hierarchy.decided.given(2 + number)):
+                    far = max(far, self.scale)  # until a row is in the way, which may be as far as that
+                loosened = max(loosened, far)
+        drawn, above, handed = self._follow(level, pulled, felt, near, pull, look.displacement)
         self._off, self._above = drawn + excess, max(above, look.explained, loosened)
-        carried = rounding + mended + 2.0 * float(np.abs(pull) @ np.where(apart, 0.0, slack))
-        carried += handed + (steepness + 2.0 * float(np.abs(pull).sum())) * above + (strength * above) ** 2
+        carried += rounding + handed + (steepness + 2.0 * float(np.abs(pull).sum())) * above + (strength * above) ** 2
         return LevelProof(
             level.name,
             gap,
             carried,
-            max(demand, math.sqrt(level.cost(self._u)), LEAST_DEMAND * shortfall.strength * self.scale),
+            max(demand, math.sqrt(cost), LEAST_DEMAND * shortfall.strength * self.scale),
             look.displacement,
             look.feigned,
             max(look.explained, loosened, self._off),
@@ -282,21 +283,24 @@ class Proof:
         )
 
     def _follow(
-        self, level: Level, felt: Array, near: NDArray[np.int_], pull: Array, displacement: Array
+        self, level: Level, pulled: Array, felt: Array, near: NDArray[np.int_], pull: Array, displacement: Array
     ) -> tuple[float, float, float]:
         """Return how far a level follows what those above are off by, beyond rounding and with it, and what that costs it.
 
-        The weaker it is, the more it moves; rows that pull follow, too. Its own `displacement` is for those below.
+        The weaker it is, the more it moves; rows that pull follow, too. Its own `displacement` is for those below. Its
+        weighted residual is `pulled` `(k,)`.
         """
         amplified = 1.0
         if self._off or self._above:
-            amplified += float(np.linalg.norm(felt @ (((felt.T @ level.matrix.T) * level.weights) @ level.matrix)))
-        drawn = self._off * amplified
-        moved = level.matrix @ self._handed
-        handed = 2.0 * abs(float((level.weights * level.residual(self._u)) @ moved)) + float(level.weights @ moved**2)
-        handed += 2.0 * float(np.abs(pull) @ np.abs(self._looks.rows[near] @ self._handed))
-        # What the level does about what its rows lack.
-        self._handed = self._handed - felt @ (felt.T @ (level.matrix.T @ (level.weights * moved))) + displacement
+            amplified += size(felt @ (((felt.T @ level.matrix.T) * level.weights) @ level.matrix))
+        drawn, handed = self._off * amplified, 0.0
+        if np.count_nonzero(self._handed):
+            moved = level.matrix @ self._handed
+            handed = 2.0 * abs(float(pulled @ moved)) + float(level.weights @ moved**2)
+            handed += 2.0 * float(np.abs(pull) @ np.abs(self._looks.rows[near] @ self._handed))
+            # What the level does about what its rows lack.
+            self._handed = self._handed - felt @ (felt.T @ (level.matrix.T @ (level.weights * moved)))
+        self._handed = self._handed + displacement
         return drawn, max(self._above * amplified, drawn), handed
 
     def _restored(self, free: Array, number: int) -> float:
@@ -306,6 +310,8 @@ class Proof:
         """
         rows = self._hierarchy.rows
         broken = (self.slack < -ROUNDING * self.scale) & ~self.exceeded & (rows.level < number)
+        if not np.count_nonzero(broken):
+            return 0.0
         moves = lengths(self._looks.rows[broken] @ free)
         there = moves > self._hierarchy.settled_by(number - 1)
         return float((-self.slack[broken][there] / moves[there]).max(initial=0.0))
@@ -317,10 +323,12 @@ class Proof:
         along these is a share of the multipliers that nothing holds: the level takes a way around the rows, however long.
         """
         left = length((look.beyond / look.sizes)[range_.felt.shape[1] :])
+        if not left:
+            return 0.0
         normals = self._looks.rows[carrying]
         moves = lengths(normals @ range_.unfelt)
         evading = moves > self._hierarchy.settled_by(number)
-        if not left or not evading.any():
+        if not evading.any():
             return 0.0
         return left / float(moves[evading].min()) * float(lengths(normals[evading] @ range_.felt @ range_.felt.T).max())
 
@@ -337,12 +345,17 @@ class Proof:
         room = np.where(slack > ROUNDING * self.scale, slack, 0.0) + loose
         worth = multipliers * room
         room = np.maximum(room, np.minimum((worth.sum() - worth) / multipliers, self.tolerance * self.scale))
-        normals, far = self._looks.rows[carrying], 0.0
-        moves = lengths(normals @ range_.unfelt) > self._hierarchy.settled_by(number)
+        normals, far, has_room = self._looks.rows[carrying], 0.0, np.count_nonzero(room) > 0
+        unfelt = lengths(normals @ range_.unfelt)
+        moves = unfelt > self._hierarchy.settled_by(number)
         for among, way in ((moves, range_.unfelt), (~moves, free)):
-            if among.any():
-                apart = float((slack[among] / lengths(normals[among] @ way)).sum())
-                far += max(apart, farthest(normals[among], room[among], way))
+            if np.count_nonzero(among):
+                apart = float(
+                    (slack[among] / (unfelt[among] if way is range_.unfelt else lengths(normals[among] @ way))).sum()
+                )
+                far += max(apart, farthest(normals[among], room[among], way)) if has_room else apart
+        if not has_room:
+            return far
         loosened = max(far, farthest(normals, room, whitened(range_)[0]))
-        self._loose = max(self._loose, loosened) if room.any() else self._loose
+        self._loose = max(self._loose, loosened)
         return loosened

@@ -8,16 +8,19 @@ Shapes throughout: J_a `(L, p)` and J_b `(p, m)`, both of full rank; `weights`, 
 `(L,)` [m]; `dx_b` `(p,)`; `reference`, r, `(m,)` [rad].
 """
 
+import math
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.problem import Level
-from prioritized_ik.tolerances import NOISE
-from prioritized_ik.validation import Array, fraction, lengths
+from prioritized_ik.solvers.subspaces import about_largest, clear_range, singular_values
+from prioritized_ik.tolerances import EMPTY, NOISE, WEAKEST
+from prioritized_ik.validation import Array, fraction, identity, lengths
 
 #: The rank tolerance of everything that reproduces the paper: singular values up to this fraction of the largest count as
 #: zero. Along the windings of the 17-link arm the 34th is below
@@ -142,19 +145,51 @@ def overconstrained_solution(
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Singular values of a level's matrix in the directions left to it, and where they were cut.
+    """Singular values of a level's matrix in the directions left to it, and where they were cut; worked out when looked at.
 
     Attributes:
-        kept: those that count, the largest first.
-        cut: those taken for zero.
-        relative_to: what 1 is: the largest of the whole matrix, or a row's length where only rounding is cut.
-        cut_rows: orthonormal combinations of the rows `(c, k)`, one each value cut, with weights and lengths as given.
+        matrix: the level's, in the directions left to it `(k, f)`, as it is cut.
+        whole: the level's `(k, m)`, whose largest singular value they are relative to; None for a row's length.
+        rank: how many singular values count.
+        weakest: about the least of them, relative to that; infinite if there is none.
+        is_clear: whether all others are zeros, but for rounding.
     """
 
-    kept: Array
-    cut: Array
-    relative_to: str
-    cut_rows: Array
+    matrix: Array
+    whole: Array | None
+    rank: int
+    weakest: float
+    is_clear: bool
+
+    @cached_property
+    def _decomposed(self) -> tuple[Array, Array]:
+        u, s, _ = np.linalg.svd(self.matrix, full_matrices=False)
+        return u, s / largest_singular_value(self.whole)
+
+    @property
+    def kept(self) -> Array:
+        """Those that count, relative to `relative_to`, the largest first."""
+        return self._decomposed[1][: self.rank]
+
+    @property
+    def cut(self) -> Array:
+        """Those taken for zero."""
+        return self._decomposed[1][self.rank :]
+
+    @property
+    def cut_rows(self) -> Array:
+        """Orthonormal combinations of the rows `(c, k)`, one each value cut, with weights and lengths as given."""
+        return self._decomposed[0][:, self.rank :].T
+
+    @property
+    def relative_to(self) -> str:
+        """What 1 is: the largest of the whole matrix, or a row's length where only rounding is cut."""
+        return "a row's length" if self.whole is None else "the largest of the matrix"
+
+
+def largest_singular_value(matrix: Array | None) -> float:
+    """Return the largest singular value of a matrix `(k, m)`; 1 if there is none, or all are zero."""
+    return float(np.linalg.norm(matrix, 2) if matrix is not None and matrix.size else 0.0) or 1.0
 
 
 def level_decomposition(
@@ -169,25 +204,37 @@ def level_decomposition(
     The paper's winding needs the second rule: at a straight arm a row is as short as its direction is weak, so that no
     scaling of rows can tell a weak direction from one in smaller units; the user can.
 
+    A QR with pivoting of the rows decides where what it leaves is zero and the rest far from the cut. Elsewhere singular
+    values do.
+
     Returns:
         J_a `(k, p)` and J_b `(p, f)`, whose rows are orthonormal; a basis `(f, f - p)` of what the level does not feel; and
         the singular values.
     """
-    m = level.matrix.shape[1]
-    matrix = level.matrix @ free
-    seen, largest, relative_to = matrix, 1.0, "a row's length"
+    matrix, whole = level.matrix if free is identity(len(free)) else level.matrix @ free, None
+    limit = max(rank_tolerance, noise)
     if rank_tolerance:
-        relative_to = "the largest of the matrix"
+        seen, whole = matrix, level.matrix
+        most = math.sqrt(np.vdot(whole, whole))  # at least the largest singular value
     else:
         sizes = lengths(level.matrix)
-        seen = matrix / np.where(sizes > 0.0, sizes, 1.0)[:, None]
-    u, s, vt = np.linalg.svd(seen, full_matrices=len(matrix) < free.shape[1])
-    if rank_tolerance:
-        largest = float(s.max(initial=0.0) if free.shape[1] == m else np.linalg.norm(level.matrix, 2)) or 1.0
-    p = int(np.count_nonzero(s > max(rank_tolerance, noise) * largest))
-    spectrum = Spectrum(s[:p] / largest, s[p:] / largest, relative_to, u[:, p : len(s)].T)
+        seen, most = matrix / np.where(sizes > 0.0, sizes, 1.0)[:, None], 1.0
+    clear = clear_range(seen, max(limit, WEAKEST) * most)
+    if clear is not None:
+        basis, p, weakest = clear
+        weakest /= 1.0 if whole is None else about_largest(whole)
+        return (
+            RankDecomposition(matrix @ basis[:, :p], basis[:, :p].T),
+            basis[:, p:],
+            Spectrum(seen, whole, p, weakest, True),
+        )
+    _, s, vt = singular_values(seen, full=len(matrix) < free.shape[1])
+    s = s / ((s.max(initial=0.0) or 1.0) if seen is whole else largest_singular_value(whole))
+    p = int(np.count_nonzero(s > limit))
+    weakest = float(s[p - 1]) if p else np.inf
     # Not U S: its rounding, relative to all of J, would be magnified by the weights.
-    return RankDecomposition(matrix @ vt[:p].T, vt[:p]), vt[p:].T, spectrum
+    factors = RankDecomposition(matrix @ vt[:p].T, vt[:p])
+    return factors, vt[p:].T, Spectrum(seen, whole, p, weakest, not (s[p:] > EMPTY).any())
 
 
 def _require(case: TaskCase, jacobian: Array, rank_tolerance: float, equation: str) -> None:

@@ -4,7 +4,9 @@ The directions that a level leaves are orthonormal to rounding, and its rows fee
 what decides it, or rows push hard, that rounding is more than what they ask for.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,20 +21,25 @@ class Decision:
 
     Attributes:
         matrix: A `(k, m)`, of any length.
-        answer: the steps `(m, k)` that answer what the rows lack.
+        answered: returns the steps `(m, k)` that answer what the rows lack.
         weakest: the least singular value that counts, of rows of unit length; infinite if there are no rows.
         is_rounded: whether the rows are not those that are given, but rounded once.
     """
 
     matrix: Array
-    answer: Array
+    answered: Callable[[], Array]
     weakest: float
     is_rounded: bool
+
+    @cached_property
+    def answer(self) -> Array:
+        """The steps `(m, k)` that answer what the rows lack, worked out when looked at."""
+        return self.answered()
 
     @property
     def turn(self) -> float:
         """How far off directions can still be that were turned to what the rows leave, as an angle."""
-        return (0.5 * EPS if self.is_rounded else 2.0 * len(self.answer) * FINEST) / self.weakest
+        return (0.5 * EPS if self.is_rounded else 2.0 * self.matrix.shape[1] * FINEST) / self.weakest
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ What is rounding is left out before: rows no longer than `IKProblem.zero_length`
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.problem import IKProblem, Level, replaced
+from prioritized_ik.problem import IKProblem, Level, replaced, trusted_level
 from prioritized_ik.solvers.blocks import HARD, Block, EqualBlock, PooledRows, SoftBlock, equal_block, without
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.decided import Decided, Decision
@@ -26,12 +26,11 @@ from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.tolerances import (
     AMPLE,
     DEPENDENT,
-    EMPTY,
     FEASIBLE,
     FLOOR,
     SETTLED_PER_RANK_TOLERANCE,
 )
-from prioritized_ik.validation import Array, distinct, length, lengths, tolerance_above_rounding
+from prioritized_ik.validation import Array, distinct, identity, length, lengths, ones, tolerance_above_rounding
 
 
 @dataclass(frozen=True)
@@ -94,22 +93,28 @@ class Hierarchy:
     def is_cut(self, number: int) -> bool:
         """Whether the rank tolerance cut more than zeros of a level, by number, which is then not solved as it is given."""
         block = self.blocks[number] if number < len(self.blocks) else None
-        return bool(self.rank_tolerance) and isinstance(block, EqualBlock) and bool((block.spectrum.cut > EMPTY).any())
+        return bool(self.rank_tolerance) and isinstance(block, EqualBlock) and not block.spectrum.is_clear
 
     @cached_property
     def decided(self) -> Decided:
         """What equalities and frozen joints decide, then what each level does: nothing if it is soft."""
         kept = self.kept
-        decisions = [Decision(kept.matrix, kept.answer, kept.weakest, self.is_rounded)]
+        decisions = [Decision(kept.matrix, lambda: kept.answer, kept.weakest, self.is_rounded)]
         for number, (level, block) in enumerate(zip(self.problem.levels, self.blocks, strict=True)):
-            if not isinstance(block, EqualBlock) or not len(block.spectrum.kept):
-                decisions.append(Decision(level.matrix[:0], level.matrix[:0].T, np.inf, is_rounded=False))
+            if not isinstance(block, EqualBlock) or not block.spectrum.rank:
+                none = level.matrix[:0]
+                decisions.append(Decision(none, partial(np.transpose, none), np.inf, is_rounded=False))
                 continue
-            is_cut, answer = self.is_cut(number), block.inverse @ block.whitening
-            if is_cut:  # what is cut is orthogonal to the rest without weights
-                answer = block.felt @ np.linalg.pinv(level.matrix @ block.felt)
-            decisions.append(Decision(level.matrix, answer, float(block.spectrum.kept[-1]), self.is_rounded or is_cut))
+            is_cut = self.is_cut(number)
+            answered = partial(_answer_without_weights, level, block) if is_cut else partial(_answer, block)
+            decisions.append(Decision(level.matrix, answered, block.spectrum.weakest, self.is_rounded or is_cut))
         return Decided(tuple(decisions))
+
+    @cached_property
+    def last_level(self) -> Level:
+        """The implicit one."""
+        m = self.problem.joint_count
+        return trusted_level(identity(m), self.problem.reference, ones(m), "last level")
 
     @cached_property
     def exact_directions(self) -> dict[int, DoubleDouble]:
@@ -133,7 +138,10 @@ class Hierarchy:
     @cached_property
     def impossible(self) -> tuple[str, ...]:
         """Names of hard rows that are rounding, so that no step moves them, but whose sides are beyond what is kept."""
-        return impossible_rows(self._given, FEASIBLE * self._given.longest_row * self.length)
+        given = self._given
+        if given.real_rows.all() and not len(given.equalities.target):
+            return ()
+        return impossible_rows(given, FEASIBLE * given.longest_row * self.length)
 
     def settled_by(self, number: int) -> float:
         """What less of a row is left by the levels up to a number is rounding; a weak level below settles nothing above."""
@@ -156,36 +164,38 @@ class Hierarchy:
     def rows(self) -> PooledRows:
         """Every inequality of the problem. Rows that a level settles are cut to it."""
         hard = self.problem.inequalities
-        matrices, uppers, names = [hard.matrix], [hard.upper], list(hard.names)
-        numbers, roots = [np.full(len(hard.upper), HARD)], [np.ones(len(hard.upper))]
+        matrices, uppers, names = [hard.matrix], [hard.upper], hard.names
+        numbers, roots, sizes = [np.full(len(hard.upper), HARD)], [ones(len(hard.upper))], [self.problem.row_lengths]
         soft_names = iter(distinct(level.name for level in self.problem.levels if level.is_soft))
         for number, (level, rows) in enumerate(zip(self.problem.levels, self._row_numbers, strict=True)):
             if level.is_soft:
                 matrices.append(level.matrix)
                 uppers.append(level.target)
                 called = next(soft_names)
-                names += [f"{called} row {i + 1}" for i in rows]
+                names += tuple([f"{called} row {i + 1}" for i in rows])
                 numbers.append(np.full(len(level.target), number))
                 roots.append(np.sqrt(level.weights))
-        matrix = np.vstack(matrices)
-        sizes = lengths(matrix)
-        unit = matrix / sizes[:, None]
-        drift, few = np.zeros_like(unit), []
+                sizes.append(level.row_lengths)
+        matrix, long = np.concatenate(matrices), np.concatenate(sizes)
+        unit = matrix / long[:, None]
+        drift = np.zeros(unit.shape)
+        few: list[tuple[int, NDArray[np.int_]]] = []
         for number, block in enumerate(self.blocks):
             if isinstance(block, EqualBlock):
                 moved = unit @ block.below
-                little = np.flatnonzero(lengths(moved) <= block.settled)
+                little = (lengths(moved) <= block.settled).nonzero()[0]
                 if len(little):
-                    drift[little] += moved[little] @ block.below.T
-                    unit[little] -= moved[little] @ block.below.T
+                    left = moved[little] @ block.below.T
+                    drift[little] += left
+                    unit[little] -= left
                     few.append((number, little))
         return PooledRows(
             unit,
             drift,
-            np.concatenate(uppers) / sizes,
+            np.concatenate(uppers) / long,
             np.concatenate(numbers),
-            np.concatenate(roots) * sizes,
-            tuple(names),
+            np.concatenate(roots) * long,
+            names,
             matrix,
             tuple(few),
         )
@@ -207,7 +217,7 @@ class Hierarchy:
         least = [0.0]
         for level, block in zip(self.problem.levels, self.blocks, strict=True):
             if isinstance(block, EqualBlock) and block.demand > 0.0:
-                strength = length(np.sqrt(level.weights) * lengths(level.matrix))
+                strength = math.sqrt(level.weights @ level.row_lengths**2)
                 least.append(block.demand / strength if strength > 0.0 else 0.0)
         return max(least)
 
@@ -228,6 +238,16 @@ class Hierarchy:
             if isinstance(block, EqualBlock):
                 u = u + block.inverse @ block.missing(u)
         return u + self.rest @ (self.rest.T @ (self.problem.reference - u))
+
+
+def _answer(block: EqualBlock) -> Array:
+    """Return the steps `(m, k)` that answer what a level's rows lack."""
+    return block.inverse @ block.whitening
+
+
+def _answer_without_weights(level: Level, block: EqualBlock) -> Array:
+    """Return the same of a level that is cut: what is cut is orthogonal to the rest without weights."""
+    return np.asarray(block.felt @ np.linalg.pinv(level.matrix @ block.felt))
 
 
 def strict_solution(levels: Sequence[Level], reference: Array, rank_tolerance: float = RANK_TOLERANCE) -> Array:
@@ -256,10 +276,12 @@ def _without_rounding(problem: IKProblem) -> tuple[IKProblem, tuple[str, ...], l
     zeros: list[str] = []
     levels, numbers = [], []
     for level in problem.levels:
-        sizes = lengths(level.matrix)
-        zeros += [f"{level.name} row {i + 1}" for i in np.flatnonzero((0.0 < sizes) & (sizes <= zero))]
-        kept = (sizes > zero) & (level.weights > 0.0) & np.isfinite(level.target)
-        numbers.append(np.flatnonzero(kept))
+        sizes = level.row_lengths
+        real = sizes > zero
+        if not real.all():
+            zeros += [f"{level.name} row {i + 1}" for i in np.flatnonzero((0.0 < sizes) & ~real)]
+        kept = real & (level.weights > 0.0) & np.isfinite(level.target)
+        numbers.append(kept.nonzero()[0])
         if level.damping:
             matrix = np.vstack([level.matrix[kept], np.sqrt(level.damping) * np.eye(m)])
             target, weights = np.append(level.target[kept], np.zeros(m)), np.append(level.weights[kept], np.ones(m))
@@ -267,11 +289,14 @@ def _without_rounding(problem: IKProblem) -> tuple[IKProblem, tuple[str, ...], l
         elif not kept.all():
             level = replaced(level, matrix=level.matrix[kept], target=level.target[kept], weights=level.weights[kept])
         levels.append(level)
+    finite, fixed = np.isfinite(problem.rows.upper), problem.equality_lengths > zero
+    if problem.real_rows.all() and finite.all() and fixed.all():
+        is_same = all([one is other for one, other in zip(levels, problem.levels, strict=True)])
+        return problem if is_same else problem.with_levels(levels), tuple(zeros), numbers
     hard = problem.inequalities
-    of_rows = slice(len(hard.upper) - int(np.isfinite(problem.rows.upper).sum()), None)
-    some = np.isfinite(problem.rows.upper)
+    of_rows = slice(len(hard.upper) - np.count_nonzero(finite), None)
+    some = finite
     some[some] = problem.real_rows[of_rows]
-    fixed = problem.equality_lengths > zero
     little = ~problem.real_rows & (problem.row_lengths > 0.0)
     zeros += [hard.names[i] for i in np.flatnonzero(little)]
     zeros += [
@@ -293,11 +318,10 @@ def _kept(problem: IKProblem) -> Kept:
     Rows that say the same to within `DEPENDENT` are kept in the sense of least squares.
     """
     m, bounds, equalities = problem.joint_count, problem.bounds, problem.equalities
-    frozen = np.flatnonzero(bounds.lower == bounds.upper)
-    unit = np.eye(m)
+    frozen, unit = (bounds.lower == bounds.upper).nonzero()[0], identity(m)
+    if not len(frozen) and not len(equalities.target):
+        return Kept(np.zeros(m), unit, equalities.matrix, equalities.matrix.T, np.inf)
     given = np.vstack([unit[frozen], equalities.matrix])
-    if not len(given):
-        return Kept(np.zeros(m), unit, given, given.T, np.inf)
     sizes = lengths(given)
     target = np.concatenate([bounds.lower[frozen], equalities.target])
     u, s, vt = np.linalg.svd(given / sizes[:, None], full_matrices=True)

@@ -9,7 +9,8 @@ import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol, TypeVar
+from itertools import compress
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from prioritized_ik.solvers.compiled.library import Question
 from prioritized_ik.solvers.conflict import find_conflict
 from prioritized_ik.solvers.damping import handed_down
 from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.solvers.report import level_reports
+from prioritized_ik.solvers.report import DeferredReports
 from prioritized_ik.solvers.stages import FoldState, Stage, level_stage, reference_stage
 from prioritized_ik.solvers.stagewise import stagewise
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
@@ -183,7 +184,7 @@ def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions, meth
         if not proof.certificate.holds:  # ill-conditioned: the kernel improves it
             better = active_set.solve(hierarchy, np.zeros(len(hierarchy.rows.upper), dtype=bool), u)
             u, proof = better.u, better.proof
-        return replace(_step(problem, hierarchy, u, proof, free=True), timings=clock.timings())
+        return _step(problem, hierarchy, u, proof, free=True, timings=clock.timings(), method=method)
     answer: Array | str
     if isinstance(start, RowMemory):
         answer, timings = hierarchy.start, clock.timings()
@@ -195,13 +196,7 @@ def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions, meth
             spent = clock.timings()
             timings = Timings(timings.build, spent.solve, spent.build - timings.build)
             return replace(exact, timings=timings, calls=clock.calls, raw=problem.from_metric(answer))
-    step = _finished(problem, hierarchy, answer, options, solution)
-    spent = clock.timings()
-    return replace(
-        step,
-        timings=Timings(timings.build, spent.solve, spent.build - timings.build),
-        calls=clock.calls,
-    )
+    return _finished(problem, hierarchy, answer, options, solution, method, clock, timings.build)
 
 
 def _tree_step(problem: IKProblem, start: Start, options: SolveOptions, method: str) -> JointStep | None:
@@ -272,7 +267,7 @@ def _by_active_set(hierarchy: Hierarchy, memory: RowMemory) -> Solution:
 
 
 def _named(hierarchy: Hierarchy, active: Active) -> tuple[str, ...]:
-    return tuple(hierarchy.rows.names[i] for i in np.flatnonzero(active))
+    return tuple(compress(hierarchy.rows.names, active.tolist()))
 
 
 def _from_nothing(hierarchy: Hierarchy) -> Solution:
@@ -314,16 +309,29 @@ def fold(backend: Backend, hierarchy: Hierarchy, clock: Clock) -> Array | str:
 
 
 def _finished(
-    problem: IKProblem, hierarchy: Hierarchy, answer: Array | str, options: SolveOptions, solution: Solution | None
+    problem: IKProblem,
+    hierarchy: Hierarchy,
+    answer: Array | str,
+    options: SolveOptions,
+    solution: Solution | None,
+    method: str,
+    clock: Clock,
+    built: float,
 ) -> JointStep:
     """Return the step that a solver's answer leads to: made exact, certified, and refused if it breaks a row.
 
     Of a solver that gave up, `answer` says why; the rows may be in conflict. `solution` is there if no solver was called.
+    Decompositions and stages had taken `built` seconds before it was asked for.
     """
+
+    def timings() -> Timings:
+        spent = clock.timings()
+        return Timings(built, spent.solve, spent.build - built)
+
     if isinstance(answer, str):
         conflict = find_conflict(problem)
         status = StepStatus.NOT_FOUND if conflict is None else StepStatus.INFEASIBLE
-        return JointStep(None, status, answer, conflict=conflict)
+        return JointStep(None, status, answer, timings=timings(), calls=clock.calls, conflict=conflict)
     raw = None if solution is not None else problem.from_metric(answer)
     from_nothing = False
     if solution is None and options.polish:
@@ -332,19 +340,38 @@ def _finished(
             solution, from_nothing = _from_nothing(hierarchy), True  # the same for every solver
     if solution is None:
         solution = Solution(answer, Proof(hierarchy, answer), active_set.guessed(hierarchy, answer), 0, converged=True)
-    step = _step(problem, hierarchy, solution.u, solution.proof, converged=solution.converged)
-    step = replace(step, raw=raw, repairs=solution.iterations, from_nothing=from_nothing)
+    step = _step(
+        problem,
+        hierarchy,
+        solution.u,
+        solution.proof,
+        converged=solution.converged,
+        timings=timings(),
+        method=method,
+        calls=clock.calls,
+        raw=raw,
+        repairs=solution.iterations,
+        from_nothing=from_nothing,
+    )
     if step.violation <= ACCEPTED_VIOLATION:
         return step
     conflict = find_conflict(problem)
     status = StepStatus.VIOLATED if conflict is None else StepStatus.INFEASIBLE
     message = f"worst relative violation {step.violation:.1e}"
-    return replace(step, dtheta=None, status=status, message=message, conflict=conflict)
+    return replace(step, dtheta=None, status=status, message=message, conflict=conflict, timings=timings())
 
 
 def _step(
-    problem: IKProblem, hierarchy: Hierarchy, u: Array, proof: Proof, *, converged: bool = True, free: bool = False
+    problem: IKProblem,
+    hierarchy: Hierarchy,
+    u: Array,
+    proof: Proof,
+    *,
+    converged: bool = True,
+    free: bool = False,
+    **others: Any,
 ) -> JointStep:
+    """Return a proven step, with `others` of its fields."""
     certificate, dtheta = proof.certificate, problem.from_metric(u)
     status = StepStatus.CLOSED_FORM if free else StepStatus.SOLVED
     return JointStep(
@@ -354,7 +381,8 @@ def _step(
         tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * proof.scale),
         violation=certificate.violation,
         certificate=certificate,
-        levels=level_reports(hierarchy, u),
+        levels=DeferredReports(problem, hierarchy.rank_tolerance, dtheta),
         zeros=hierarchy.zeros,
         active_rows=() if free else _named(hierarchy, proof.ends_on),
+        **others,
     )

@@ -15,7 +15,8 @@ from prioritized_ik.solvers.balance import Balance, Look, balanced, exact_basis,
 from prioritized_ik.solvers.blocks import EqualBlock, Shortfall
 from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.solvers.hierarchy import Hierarchy
-from prioritized_ik.tolerances import EPS, FINEST, LEAKS, MARGIN, NOISE, PROJECTION, REFINABLE, ROUNDING, UNDECIDED
+from prioritized_ik.solvers.subspaces import are_independent, singular_values
+from prioritized_ik.tolerances import EPS, FINEST, LEAKS, NOISE, PLAIN, PROJECTION, ROUNDING, UNDECIDED
 from prioritized_ik.validation import Array, length, lengths
 
 
@@ -28,6 +29,7 @@ class Conditions:
         shortfall: what it lacks.
         near: numbers of the rows that may hold it back `(t,)`.
         held: which of them a level above holds `(t,)`: of either sign here.
+        cost: the level's.
         follows: how far the level moves with what levels above leave open.
         steepness: length of the gradient of its cost.
         number: of the level.
@@ -37,6 +39,7 @@ class Conditions:
     shortfall: Shortfall
     near: NDArray[np.int_]
     held: NDArray[np.bool_]
+    cost: float
     follows: float
     steepness: float
     number: int
@@ -54,7 +57,7 @@ class Looks:
         self._u = u
         self._scale = scale
         self._tolerance = tolerance
-        self.rows = hierarchy.rows.matrix.copy()
+        self.rows = hierarchy.rows.matrix
         self._settled: list[tuple[NDArray[np.int_], Array, Array, int]] = []  # what is left out of them
         #: How far rounding may have turned the directions that the levels so far leave, for rows and for levels below.
         self._blur = self._blur_as_given = PROJECTION * EPS / hierarchy.kept.weakest
@@ -66,10 +69,17 @@ class Looks:
         """
         if not len(near) or not unfelt.shape[1]:
             return
-        combinations, strengths, directions = np.linalg.svd(self.rows[near] @ unfelt, full_matrices=False)
-        few = strengths <= self._hierarchy.least(unfelt.shape[1], number)
-        if few.any():
+        moves, least = self.rows[near] @ unfelt, self._hierarchy.least(unfelt.shape[1], number)
+        apart = lengths(moves) > self._hierarchy.settled_by(number)  # the others are settled by themselves
+        near, moves = near[apart], moves[apart]
+        if are_independent(moves, least):
+            return
+        combinations, strengths, directions = singular_values(moves)
+        few = strengths <= least
+        if np.count_nonzero(few):
             ways = unfelt @ directions[few].T
+            if not self._settled:
+                self.rows = self.rows.copy()
             self.rows[near] -= (combinations[:, few] * strengths[few]) @ ways.T
             self._settled.append((near, combinations[:, few], ways, 2 + number))
 
@@ -90,29 +100,29 @@ class Looks:
         return self._closer(asked, look.feigned)
 
     def _is_plainly_off(self, asked: Conditions, look: Look) -> bool:
-        """Whether a step is off by far more than rounding feigns and refinement mends: as most that a search visits."""
-        for seen in (look, None):
-            # What of a row was taken for rounding could balance the gradient, were it none.
-            seen = seen or self._in_doubles(asked, whole=True)[0]
-            if length(seen.displacement) <= max(REFINABLE * self._scale, seen.feigned / MARGIN):
-                return False
-        return True
+        """Whether doubles tell how far the step is off: by far more than rounding feigns, as most that a search visits."""
+
+        def is_told(seen: Look) -> bool:
+            return length(seen.displacement) > PLAIN * seen.feigned
+
+        # What of a row was taken for rounding could balance the gradient, were it none.
+        return is_told(look) and is_told(self._in_doubles(asked, whole=True)[0])
 
     def _in_doubles(self, asked: Conditions, *, whole: bool = False) -> tuple[Look, float]:
         """Return the look in doubles, of `whole` rows or without what may be their rounding, and how far a level leaks."""
         shortfall, number = asked.shortfall, asked.number
         felt, noise = shortfall.felt.felt, self._hierarchy.problem.noise
         unit = noise if noise > NOISE else ROUNDING
-        # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
-        leaks = EPS * asked.follows * math.sqrt(asked.level.cost(self._u)) * float(lengths(felt.T).max(initial=0.0))
         basis, sizes = whitened(shortfall.felt)
+        # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
+        leaks = EPS * asked.follows * math.sqrt(asked.cost) * float(sizes[: felt.shape[1]].max(initial=0.0))
         turns, turn_as_given = self._turns(number, felt.shape[1], len(sizes))
         gradient, blur = _gradient(shortfall, sizes, unit)
         lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
         little = np.zeros(len(sizes)) if whole else sizes * turns
-        balance = balanced(self.rows[asked.near], basis, lacking, asked.held, little, unit)
+        balance = balanced(self.rows[asked.near], basis, lacking, asked.held, little, unit, blur)
         rounding = blur + balance.turned(sizes, turns) + 0.5 * asked.steepness * turn_as_given * sizes
-        feigned = max(float(np.linalg.norm(sizes * rounding)), leaks)
+        feigned = max(length(sizes * rounding), leaks)
         return self._look(asked, balance, gradient, basis, sizes, rounding, feigned, length(blur), feigned), leaks
 
     def _closer(self, asked: Conditions, feigned: float) -> Look:
@@ -131,7 +141,7 @@ class Looks:
         lacking = gradient.where(np.abs(gradient.high) > blur)
         balance = exactly_balanced(self._exact_rows(asked.near), directions, lacking, asked.held, sizes * turns)
         rounding = blur + balance.turned(sizes, turns) + 0.5 * asked.steepness * turn_as_given * sizes
-        explained = float(np.linalg.norm(sizes * rounding))
+        explained = length(sizes * rounding)
         return self._look(asked, balance, gradient.high, basis, sizes, rounding, explained, of_step, feigned)
 
     def _look(
@@ -169,9 +179,10 @@ class Looks:
 
     def _doubtful(self, balance: Balance, sizes: Array, number: int, felt: int) -> Array:
         """Return how large a multiplier of each row `(t,)` half a unit in the last place of what is given can make."""
-        decided = self._hierarchy.decided
-        turns = np.full(len(sizes), decided.given(1 + number))
-        turns[felt:] = decided.given(2 + number)
+        if not np.count_nonzero(balance.multipliers):
+            return np.zeros(len(balance.multipliers))
+        turns = np.full(len(sizes), self._hierarchy.decided.given(1 + number))
+        turns[felt:] = self._hierarchy.decided.given(2 + number)
         return np.abs(balance.normals) @ balance.turned(sizes, turns)
 
     def _exact_rows(self, near: NDArray[np.int_]) -> DoubleDouble:

@@ -1,13 +1,14 @@
 """Orthogonal geometry: ranges and null spaces, least squares within them, and cones of tight rows."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from prioritized_ik.tolerances import DEPENDENT
-from prioritized_ik.validation import Array, lengths
+from prioritized_ik.tolerances import CLEARLY, DEPENDENT, EPS, ESTIMATES, PROJECTION
+from prioritized_ik.validation import Array, length, lengths, read_only, size
 
 
 @dataclass(frozen=True)
@@ -72,8 +73,119 @@ def pivoted_qr(matrix: Array) -> tuple[Array, Array, NDArray[np.int_]]:
     p = matrix.shape[1]
     if p == 0:
         return matrix, np.zeros((0, 0)), np.zeros(0, dtype=int)
-    packed, order, scales, _, _ = scipy.linalg.lapack.dgeqp3(matrix)
-    return scipy.linalg.lapack.dorgqr(packed, scales)[0], np.triu(packed[:p]), order - 1
+    work = _work(p)
+    packed, order, scales, _, _ = scipy.linalg.lapack.dgeqp3(matrix, lwork=work)
+    return scipy.linalg.lapack.dorgqr(packed, scales, lwork=work)[0], upper_triangle(packed[:p]), order - 1
+
+
+def clear_range(rows: Array, least: float) -> tuple[Array, int, float] | None:
+    """Return an orthonormal basis `(m, m)`, the first p for all that `rows` `(k, m)` feel, p, and the least singular value.
+
+    That is an estimate, and infinite where p is zero. None where a pivoted QR does not tell the rank p: what it leaves is
+    more than rounding, or a singular value may be `least` or less.
+    """
+    (k, m), p = rows.shape, 0
+    if k and m:
+        packed, _, scales, _, _ = scipy.linalg.lapack.dgeqp3(rows.T, lwork=_work(k))
+        sizes = np.abs(packed.diagonal())
+        p = int(np.count_nonzero(sizes > PROJECTION * EPS * sizes[0]))
+    if not p:
+        return np.eye(m), 0, np.inf
+    inverse, _ = scipy.linalg.lapack.dtrtri(packed[:p, :p])
+    inverse = upper_triangle(inverse)
+    if not np.vdot(inverse, inverse) < least**-2.0:  # no singular value of the inverse is larger than that
+        return None
+    reflectors = np.zeros((m, m), order="F")
+    reflectors[:, :p] = packed[:, :p]
+    basis, _, _ = scipy.linalg.lapack.dorgqr(reflectors, scales[:p], lwork=_work(m), overwrite_a=1)
+    return basis, p, 1.0 / about_largest(inverse)
+
+
+def singular_values(matrix: Array, *, full: bool = False) -> tuple[Array, Array, Array]:
+    """Return U, the singular values and Vᵀ of a matrix that has entries; as `numpy.linalg.svd`, faster on small ones."""
+    u, s, vt, failed = scipy.linalg.lapack.dgesdd(matrix, full_matrices=int(full))
+    return np.linalg.svd(matrix, full_matrices=full) if failed else (u, s, vt)
+
+
+def are_independent(rows: Array, least: float) -> bool:
+    """Whether every combination of `rows` `(k, m)` of length 1 is clearly longer than `least`; in doubt they are not."""
+    if not len(rows) or len(rows) > rows.shape[1]:
+        return not len(rows)
+    packed, _, _, _, _ = scipy.linalg.lapack.dgeqp3(rows.T)
+    inverse, singular = scipy.linalg.lapack.dtrtri(packed[: len(rows)])
+    inverse = upper_triangle(inverse)
+    return not singular and bool(np.vdot(inverse, inverse) * (CLEARLY * least) ** 2 < 1.0)
+
+
+def least_squares(columns: Array, target: Array, *, some: bool = False) -> Array | None:
+    """Return the x `(k,)` of the least ‖`columns` @ x - `target`‖; None where columns `(m, k)` may depend on each other.
+
+    Unless `some` of them, that do not, may stand for all.
+    """
+    m, k = columns.shape
+    if not k or not m:
+        return None
+    packed, order, scales, _, _ = scipy.linalg.lapack.dgeqp3(columns)
+    sizes = np.abs(packed.diagonal())
+    rank = int(np.count_nonzero(sizes > DEPENDENT * sizes[0]))
+    if not rank or (rank < k and not some):
+        return None
+    x, triangle, order = np.zeros(k), packed[:rank, :rank], order[:rank] - 1
+    reflectors, scales = packed[:, :rank], scales[:rank]
+    for _ in range(2):  # once more: the first time leaves rounding
+        turned, _, _ = scipy.linalg.lapack.dormqr("L", "T", reflectors, scales, (target - columns @ x)[:, None], m)
+        x[order] += scipy.linalg.lapack.dtrtrs(triangle, turned[:rank, 0])[0]
+    return x
+
+
+def pseudoinverse(rows: Array) -> Array:
+    """Return the pseudoinverse `(m, k)` of `rows` `(k, m)`; combinations below `DEPENDENT` of the largest count as none."""
+    k, m = rows.shape
+    if 0 < k <= m:
+        packed, order, scales, _, _ = scipy.linalg.lapack.dgeqp3(rows.T)
+        inverse, singular = scipy.linalg.lapack.dtrtri(packed[:k])
+        inverse = upper_triangle(inverse)
+        # The least singular value is no less than one over the size of the inverse, the largest no more than that of rows.
+        if not singular and size(inverse) * size(rows) * CLEARLY * DEPENDENT < 1.0:
+            basis, _, _ = scipy.linalg.lapack.dorgqr(packed, scales)
+            found = np.empty((m, k))
+            found[:, order - 1] = basis @ inverse.T
+            return found
+    if not rows.size:
+        return np.zeros((m, k))
+    u, s, vt = singular_values(rows)
+    rank = int(np.count_nonzero(s > DEPENDENT * s[0]))
+    return (vt[:rank].T / s[:rank]) @ u[:, :rank].T
+
+
+def about_largest(matrix: Array) -> float:
+    """Return about the largest singular value of a matrix `(k, m)`, by iteration from its longest row; 1 if it is zero."""
+    sizes = lengths(matrix)
+    if not sizes.any():
+        return 1.0
+    longest = int(sizes.argmax())
+    direction, largest = matrix[longest] / sizes[longest], 0.0
+    for _ in range(ESTIMATES):
+        image = matrix @ direction
+        largest = length(image)
+        direction = (image / largest) @ matrix
+        direction /= length(direction)
+    return largest
+
+
+def upper_triangle(matrix: Array) -> Array:
+    """Return a square matrix `(k, k)` with zeros below its diagonal; several times faster than `numpy.triu`."""
+    return matrix * _ones_above(len(matrix))
+
+
+@lru_cache(maxsize=64)
+def _ones_above(k: int) -> Array:
+    return read_only(np.triu(np.ones((k, k))))
+
+
+def _work(columns: int) -> int:
+    """Return how many numbers of room let LAPACK factor so many columns in blocks of 32."""
+    return 2 * columns + 32 * (columns + 1)
 
 
 def nonnegative_least_squares(matrix: Array, target: Array) -> tuple[Array, float]:
@@ -89,13 +201,19 @@ def nonnegative_least_squares(matrix: Array, target: Array) -> tuple[Array, floa
     except RuntimeError:  # out of iterations
         return np.zeros(matrix.shape[1]), np.inf
     positive = x > 0.0
-    if distance and positive.any():
+    while distance and positive.any():
         columns, refined = matrix[:, positive], x[positive]
         for _ in range(2):
-            refined = refined + np.linalg.lstsq(columns, target - columns @ refined)[0]
-        nearer = float(np.linalg.norm(columns @ refined - target))
-        if nearer < distance and refined.min() >= 0.0:
-            x[positive], distance = refined, nearer
+            missing = target - columns @ refined
+            change = least_squares(columns, missing)
+            refined = refined + (np.linalg.lstsq(columns, missing)[0] if change is None else change)
+        if refined.min() >= 0.0:
+            nearer = length(columns @ refined - target)
+            if nearer < distance:
+                x, distance = np.zeros(len(x)), nearer
+                x[positive] = refined
+            break
+        positive[positive] = refined > 0.0  # what normal equations took for more is rounding
     return x, distance
 
 
