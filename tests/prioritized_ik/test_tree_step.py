@@ -1,5 +1,6 @@
 import dataclasses
 import pickle
+from itertools import product
 
 import numpy as np
 import pytest
@@ -12,10 +13,13 @@ from prioritized_ik.kinematic_tree import KinematicTree, PointRows
 from prioritized_ik.models import Arm
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.certificate import certify
+from prioritized_ik.solvers.compiled.library import Ending, Question, library
+from prioritized_ik.solvers.compiled.tree_step import compiled_tree_step
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.methods import ActiveSet as ActiveSetMethod
 from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.step import JointStep, StepStatus
+from prioritized_ik.solvers.tree import step as tree
 from prioritized_ik.solvers.tree.active_set import Search
 from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
 from prioritized_ik.solvers.tree.elimination import Elimination
@@ -103,6 +107,40 @@ def test_a_step_starts_from_the_rows_of_the_last_one():
     assert first.repairs > second.repairs == 0
     np.testing.assert_allclose(first.dtheta, second.dtheta, atol=1e-12)
     assert method.step(problem, BY_MATRICES).repairs == 0  # whoever takes it up from there
+
+
+@pytest.mark.skipif(library().core is None, reason="there is no compiled core")
+@pytest.mark.parametrize("first", range(0, 60, 10))
+def test_the_core_finds_and_proves_what_the_search_does_to_the_same_bits(first, monkeypatch):
+    quick = 0
+    for seed in range(first, first + 10):
+        problem = _random(seed)
+        last = _searched(problem, (), Question.STEP, monkeypatch)
+        assert last is not None
+        for question, rows in product((Question.STEP, Question.CLOSED_FORM_ONLY, Question.FROM_GUESS_ONLY), ((), last[1])):
+            found = compiled_tree_step(problem, 0.0, rows, question, "")
+            if isinstance(found, Ending):
+                continue
+            quick += 1
+            searched = _searched(problem, rows, question, monkeypatch)
+            assert searched is not None
+            step, active = searched
+            np.testing.assert_array_equal(found.dtheta, step.dtheta)
+            assert found.written.active == active
+            for name in ("status", "path", "active_rows", "tight_rows", "repairs"):
+                assert getattr(found, name) == getattr(step, name), (seed, name)
+            np.testing.assert_allclose(found.costs, step.costs, rtol=1e-9, atol=1e-25)
+            for name in ("gaps", "relative_gaps", "stationarity", "rounding"):
+                one, other = getattr(found.certificate, name), getattr(step.certificate, name)
+                np.testing.assert_allclose(one, other, rtol=0.3, atol=1e-13, err_msg=f"{seed} {name}")
+    assert quick >= 30  # of sixty: from nothing, most take an interior point
+
+
+def _searched(problem, rows, question, monkeypatch):
+    """Return what the search in Python finds, by the factors of the core."""
+    with monkeypatch.context() as patched:
+        patched.setattr(tree, "compiled_tree_step", lambda *_: Ending.UNPROVEN)
+        return tree_step(problem, 0.0, rows, question)
 
 
 def _declined() -> dict[str, IKProblem]:

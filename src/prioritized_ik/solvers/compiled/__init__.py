@@ -12,6 +12,8 @@
     dense.hpp      the linear algebra beneath; with singular_values.hpp, nonnegative.hpp and double_double.hpp
     tree.hpp       the elimination along a kinematic tree, for tree.py, see solvers/tree; on tree_stages.hpp (its stages),
                    tree_frame.hpp (what a level decides) and tree_level.hpp (its triangle)
+    tree_step.py   from a problem on a tree to its `JointStep`, or to why the core declines; tree_search.hpp, on
+                   tree_problem.hpp (the problem in its metric) and tree_proof.hpp (the proof of a step)
     winding.hpp    a winding controller's look and the numbers of its problem, for winding/compiled.py
 
 The core answers where every decision is clear: ranks on both sides of their cuts, rows that are tight or are not, a

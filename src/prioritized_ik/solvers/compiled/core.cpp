@@ -8,7 +8,7 @@
 #include "packed.hpp"
 #include "posing.hpp"
 #include "step.hpp"
-#include "tree.hpp"
+#include "tree_search.hpp"
 #include "winding.hpp"
 
 #ifndef PRIORITIZED_IK_SOURCE
@@ -109,11 +109,25 @@ EXPORTED void core_pose(const prioritized_ik::Posing* posing) { prioritized_ik::
 
 // ---- Kinematic trees, for compiled/tree.py. Functions that may run out of memory return -1 then.
 
-EXPORTED void* core_tree_new() { return new (std::nothrow) prioritized_ik::TreeElimination(); }
-EXPORTED void core_tree_delete(prioritized_ik::TreeElimination* tree) { delete tree; }
+EXPORTED prioritized_ik::TreeSearch* core_tree_new(const double* tolerances) {
+    Tolerances values;
+    std::memcpy(&values, tolerances, sizeof values);
+    return new (std::nothrow) prioritized_ik::TreeSearch(values);
+}
+EXPORTED void core_tree_delete(prioritized_ik::TreeSearch* tree) { delete tree; }
+
+// An `Ending`, and above its eight bits how much of the lists is written.
+EXPORTED int core_tree_step(prioritized_ik::TreeSearch* tree, const prioritized_ik::TreeProblem* problem) {
+    try {
+        return tree->step(*problem);
+    } catch (const std::bad_alloc&) {
+        return -1;
+    }
+}
+
 EXPORTED int core_tree_input_size() { return int(sizeof(prioritized_ik::TreeInput)); }
 
-EXPORTED int core_tree_pose(prioritized_ik::TreeElimination* tree, const prioritized_ik::TreeInput* input) {
+EXPORTED int core_tree_pose(prioritized_ik::TreeSearch* tree, const prioritized_ik::TreeInput* input) {
     try {
         tree->pose(*input);
         return 0;
@@ -123,7 +137,7 @@ EXPORTED int core_tree_pose(prioritized_ik::TreeElimination* tree, const priorit
 }
 
 // `Factors.motions`.
-EXPORTED int core_tree_motions(const prioritized_ik::TreeElimination* tree, const double* u, double* motions, double* sizes) {
+EXPORTED int core_tree_motions(const prioritized_ik::TreeSearch* tree, const double* u, double* motions, double* sizes) {
     try {
         tree->motions(u, motions, sizes);
         return 0;
@@ -133,7 +147,7 @@ EXPORTED int core_tree_motions(const prioritized_ik::TreeElimination* tree, cons
 }
 
 // `Factors.damp` and `Factors.damped`, the first where u is null.
-EXPORTED int core_tree_damped(prioritized_ik::TreeElimination* tree, const double* rows, const double* joints, double* u) {
+EXPORTED int core_tree_damped(prioritized_ik::TreeSearch* tree, const double* rows, const double* joints, double* u) {
     try {
         if (u) tree->damped(rows, joints, u);
         else tree->damp(rows, joints);
@@ -143,8 +157,8 @@ EXPORTED int core_tree_damped(prioritized_ik::TreeElimination* tree, const doubl
     }
 }
 
-// A `TreeElimination::Ending`.
-EXPORTED int core_tree_factor(prioritized_ik::TreeElimination* tree) {
+// A `TreeElimination::Clarity`.
+EXPORTED int core_tree_factor(prioritized_ik::TreeSearch* tree) {
     try {
         return tree->factor();
     } catch (const std::bad_alloc&) {
@@ -152,7 +166,7 @@ EXPORTED int core_tree_factor(prioritized_ik::TreeElimination* tree) {
     }
 }
 
-EXPORTED int core_tree_solve(prioritized_ik::TreeElimination* tree, const double* values, const double* sides,
+EXPORTED int core_tree_solve(prioritized_ik::TreeSearch* tree, const double* values, const double* sides,
                              const double* reference, double* u) {
     try {
         tree->solve(values, sides, reference, u);
@@ -164,7 +178,7 @@ EXPORTED int core_tree_solve(prioritized_ik::TreeElimination* tree, const double
 
 enum TreeQuestion { PARTS, WHITENED, PULLS, DISPLACEMENT, LEFT_BY };  // of compiled/tree.py
 
-EXPORTED int core_tree_ask(prioritized_ik::TreeElimination* tree, int question, int level, const double* given, double* out) {
+EXPORTED int core_tree_ask(prioritized_ik::TreeSearch* tree, int question, int level, const double* given, double* out) {
     try {
         if (question == PARTS) tree->parts(given, out);
         else if (question == WHITENED) tree->whitened(level, given, out);
@@ -178,7 +192,7 @@ EXPORTED int core_tree_ask(prioritized_ik::TreeElimination* tree, int question, 
 }
 
 // Writes `TreeElimination::Balance` to figures (6).
-EXPORTED int core_tree_balance(prioritized_ik::TreeElimination* tree, int level, int is_held, double rounded, const double* given,
+EXPORTED int core_tree_balance(prioritized_ik::TreeSearch* tree, int level, int is_held, double rounded, const double* given,
                                const double* sizes, double* off, double* rest, double* pulls, double* of_bounds, double* figures) {
     try {
         const auto found = tree->balance(level, given, sizes, rounded, is_held != 0, off, rest, pulls, of_bounds);
@@ -190,7 +204,7 @@ EXPORTED int core_tree_balance(prioritized_ik::TreeElimination* tree, int level,
 }
 
 // -2 if memory runs out, as -1 is an answer.
-EXPORTED int core_tree_count_below(prioritized_ik::TreeElimination* tree, int level, double tau) {
+EXPORTED int core_tree_count_below(prioritized_ik::TreeSearch* tree, int level, double tau) {
     try {
         return tree->count_below(level, tau);
     } catch (const std::bad_alloc&) {
@@ -198,4 +212,4 @@ EXPORTED int core_tree_count_below(prioritized_ik::TreeElimination* tree, int le
     }
 }
 
-EXPORTED double core_tree_memory(const prioritized_ik::TreeElimination* tree) { return double(tree->memory()); }
+EXPORTED double core_tree_memory(const prioritized_ik::TreeSearch* tree) { return double(tree->memory()); }

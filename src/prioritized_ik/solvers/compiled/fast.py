@@ -28,7 +28,7 @@ from prioritized_ik.validation import Array
 
 LOOSE, TIGHT, NOT_KEPT = 0, 1, 2  # of a guessed row; those that are not kept are of soft levels
 
-_STATUS: dict[int, StepStatus] = {
+STATUS: dict[int, StepStatus] = {
     Ending.CLOSED_FORM: StepStatus.CLOSED_FORM,
     Ending.SOLVED: StepStatus.SOLVED,
     Ending.OPEN: StepStatus.UNCERTIFIED,
@@ -132,7 +132,7 @@ def compiled_step(
         workspace, sizes = _filled(problem if is_flat else problem.in_metric, rank_tolerance, rounded=not is_flat)
     _guess(rows, workspace)
     ending, used = workspace.solve(sizes, question)
-    status = _STATUS.get(ending)
+    status = STATUS.get(ending)
     if status is None:
         return None
     dtheta = workspace.dtheta.copy()
@@ -173,16 +173,20 @@ def _packed(problem: PackedProblem, rank_tolerance: float) -> tuple[Workspace, S
 
 def _guess(rows: Collection[str] | Remembered, workspace: Workspace) -> None:
     """Write which rows the step may rest on, those that the problem does not have left out."""
+    workspace.guess_rows(guessed(rows, workspace.names, workspace.numbers))
+
+
+def guessed(rows: Collection[str] | Remembered, names: tuple[str, ...], numbers: dict[str, int]) -> bytes | bytearray:
+    """Return which of a problem's rows, called `names` and numbered by them, are among `rows`: a byte for each."""
     if isinstance(rows, Remembered):
-        if rows.names is workspace.names:
-            workspace.guess_rows(rows.kept)
-            return
+        if rows.names is names:
+            return rows.kept
         rows = rows.named()
-    guess, known = bytearray(len(workspace.names)), workspace.numbers
+    guess = bytearray(len(names))
     for name in rows:
-        if name in known:
-            guess[known[name]] = TIGHT
-    workspace.guess_rows(guess)
+        if name in numbers:
+            guess[numbers[name]] = TIGHT
+    return guess
 
 
 def _fields(written: Written) -> dict[str, Any]:

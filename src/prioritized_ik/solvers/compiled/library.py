@@ -126,6 +126,8 @@ def _loaded(path: Path, expected: str) -> tuple[ctypes.CDLL | None, str]:
         look.argtypes = [ctypes.c_void_p]
     core.core_pose.argtypes, core.core_pose.restype = [ctypes.c_void_p], None
     core.core_tree_new.restype = ctypes.c_void_p
+    core.core_tree_new.argtypes = [ctypes.c_void_p]
+    core.core_tree_step.argtypes = [ctypes.c_void_p, ctypes.c_char_p]
     core.core_tree_delete.argtypes = [ctypes.c_void_p]
     core.core_tree_delete.restype = None
     core.core_tree_pose.argtypes = [ctypes.c_void_p] * 2

@@ -1,6 +1,7 @@
 // Strict levels of a kinematic tree: solvers/tree/elimination.py, which says what and why; names are the same.
 #pragma once
 
+#include "exchange.hpp"
 #include "tree_damped.hpp"
 #include "tree_level.hpp"
 #include "tree_motions.hpp"
@@ -9,7 +10,7 @@ namespace prioritized_ik {
 
 class TreeElimination {
   public:
-    enum Ending { CLEAR = 0, RANK = 1 };
+    enum Clarity { CLEAR = 0, UNCLEAR = 1 };
 
     // Takes a problem's tree and rows; what the caller owns must stay where it is.
     void pose(const TreeInput& input) {
@@ -44,7 +45,7 @@ class TreeElimination {
             clear = clear && (level.rank == 0 || level.weakest > in_.noise * level.strongest);
         }
         left_ = left;
-        return clear ? CLEAR : RANK;
+        return clear ? CLEAR : UNCLEAR;
     }
 
     // u := the strict optimum

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.solvers.compiled.library import library
+from prioritized_ik.solvers.compiled.library import library, tolerances_of
 from prioritized_ik.solvers.tree.factors import Balance, Ending, Factors, TreeRowsOnJoints
 from prioritized_ik.tolerances import NOISE, ROUNDING
 from prioritized_ik.validation import Array
@@ -36,17 +36,19 @@ _idle: list[ctypes.c_void_p] = []  # what was of use to a problem before: its me
 MOST_IDLE = 4
 
 
-def _taken(core: ctypes.CDLL) -> ctypes.c_void_p:
+def taken(core: ctypes.CDLL) -> ctypes.c_void_p:
+    """Return the address of what solves problems on trees, one at a time, for its user alone."""
     try:
         return _idle.pop()
     except IndexError:
-        address = core.core_tree_new()
+        address = core.core_tree_new(tolerances_of(core).ctypes.data)
         if not address:
             raise MemoryError("no memory for the compiled core") from None
         return ctypes.c_void_p(address)
 
 
-def _given_back(core: ctypes.CDLL, address: ctypes.c_void_p) -> None:
+def given_back(core: ctypes.CDLL, address: ctypes.c_void_p) -> None:
+    """Keep for others, or free, what was `taken`."""
     if len(_idle) < MOST_IDLE:
         _idle.append(address)
     else:
@@ -61,8 +63,8 @@ class CompiledElimination(Factors):
         assert core is not None
         self.rows = rows
         self._core = core
-        self._address = _taken(core)
-        weakref.finalize(self, _given_back, core, self._address)
+        self._address = taken(core)
+        weakref.finalize(self, given_back, core, self._address)
         points, tree = rows.points, rows.points.tree
         m, k = tree.joint_count, len(points)
         self.fixed, self._counts = np.zeros(m, dtype=bool), np.zeros(k, dtype=bool)
@@ -87,13 +89,13 @@ class CompiledElimination(Factors):
         addresses = {name: array.ctypes.data for name, array in self._kept.items()}
         sizes = {"joints": m, "rows": k, "levels": rows.levels}
         self._input = TreeInput(**sizes, zero=rows.zero, rounding=ROUNDING, noise=NOISE, **addresses)
-        _checked(core.core_tree_pose(self._address, ctypes.byref(self._input)))
+        checked(core.core_tree_pose(self._address, ctypes.byref(self._input)))
 
     def factor(self, fixed: NDArray[np.bool_], held: NDArray[np.bool_]) -> Ending:
         """See `Elimination.factor`."""
         self.fixed[:] = fixed
         np.logical_or(self.rows.level != 0, held, out=self._counts)
-        ending = Ending(_checked(self._core.core_tree_factor(self._address)))
+        ending = Ending(checked(self._core.core_tree_factor(self._address)))
         self.ranks, self.strongest = self._ranks.tolist(), self._strongest.tolist()
         sizes = [*self.ranks, len(fixed) - int(np.count_nonzero(fixed)) - sum(self.ranks)]
         ends = np.cumsum(sizes).tolist()
@@ -104,23 +106,23 @@ class CompiledElimination(Factors):
         """See `Elimination.solve`."""
         given = [np.ascontiguousarray(array, dtype=float) for array in (values, sides, reference)]
         u = np.empty(len(values))
-        _checked(self._core.core_tree_solve(self._address, *(array.ctypes.data for array in given), _place(u)))
+        checked(self._core.core_tree_solve(self._address, *(array.ctypes.data for array in given), _place(u)))
         return u
 
     def motions(self, u: Array) -> tuple[Array, Array]:
         """See `Factors.motions`."""
         u, motions, sizes = np.ascontiguousarray(u, dtype=float), np.empty(len(self._counts)), np.empty(len(self._counts))
-        _checked(self._core.core_tree_motions(self._address, u.ctypes.data, _place(motions), _place(sizes)))
+        checked(self._core.core_tree_motions(self._address, u.ctypes.data, _place(motions), _place(sizes)))
         return motions, sizes
 
     def damp(self, row_weights: Array, joint_weights: Array) -> None:
         """See `Factors.damp`."""
-        _checked(self._core.core_tree_damped(self._address, row_weights.ctypes.data, joint_weights.ctypes.data, None))
+        checked(self._core.core_tree_damped(self._address, row_weights.ctypes.data, joint_weights.ctypes.data, None))
 
     def damped(self, row_sides: Array, joint_sides: Array) -> Array:
         """See `Factors.damped`."""
         u, given = np.empty(len(joint_sides)), (row_sides.ctypes.data, joint_sides.ctypes.data)
-        _checked(self._core.core_tree_damped(self._address, *given, _place(u)))
+        checked(self._core.core_tree_damped(self._address, *given, _place(u)))
         return u
 
     def parts(self, gradient: Array) -> list[Array]:
@@ -150,7 +152,7 @@ class CompiledElimination(Factors):
         m, k = len(self.fixed), len(self.rows.level)
         made = [off.copy(), np.empty(m), np.empty(k), np.empty(m), np.empty(6)]
         addresses = [*(array.ctypes.data for array in arrays), *map(_place, made)]
-        _checked(self._core.core_tree_balance(self._address, level, is_held, rounded, *addresses))
+        checked(self._core.core_tree_balance(self._address, level, is_held, rounded, *addresses))
         off, rest, pulls, of_bounds, figures = made
         return Balance(rest, pulls, off, of_bounds, *figures.tolist())
 
@@ -161,7 +163,7 @@ class CompiledElimination(Factors):
     def count_below(self, level: int, tau: float) -> int | None:
         """See `Elimination.count_below`."""
         count: int = self._core.core_tree_count_below(self._address, level, tau)
-        return None if count == -1 else _checked(count)
+        return None if count == -1 else checked(count)
 
     @property
     def memory(self) -> float:
@@ -171,7 +173,7 @@ class CompiledElimination(Factors):
     def _asked(self, question: int, level: int, given: Array, count: int) -> Array:
         given = np.ascontiguousarray(given, dtype=float)
         out = np.empty(count)
-        _checked(self._core.core_tree_ask(self._address, question, level, given.ctypes.data, _place(out)))
+        checked(self._core.core_tree_ask(self._address, question, level, given.ctypes.data, _place(out)))
         return out
 
 
@@ -180,7 +182,8 @@ def _place(array: NDArray[Any]) -> int:
     return ctypes.addressof(ctypes.c_char.from_buffer(array.data)) if array.size else 0
 
 
-def _checked(answer: int) -> int:
+def checked(answer: int) -> int:
+    """Return the core's answer, which is negative if memory ran out."""
     if answer < 0:
         raise MemoryError("no memory for the compiled core")
     return answer

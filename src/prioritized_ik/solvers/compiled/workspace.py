@@ -205,6 +205,21 @@ def numbered_names(
     return names, {name: number for number, name in reversed(list(enumerate(names)))}
 
 
+_recent: list[tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, ...], dict[str, int]]]] = []
+MOST_RECENT = 4
+
+
+def recent_names(joints: tuple[str, ...], rows: tuple[str, ...]) -> tuple[tuple[str, ...], dict[str, int]]:
+    """Return `numbered_names` without soft levels; hashing names of a thousand joints takes longer than comparing a few."""
+    for known, others, found in _recent:
+        if known is joints and others == rows:
+            return found
+    found = numbered_names(joints, rows, ())
+    _recent.insert(0, (joints, rows, found))
+    del _recent[MOST_RECENT:]
+    return found
+
+
 def _reals(address: int | None, rows: int, width: int | None = None) -> Array:
     shape = (rows,) if width is None else (rows, width)
     if address is None or not rows:

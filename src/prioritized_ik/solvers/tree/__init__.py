@@ -15,6 +15,10 @@
     interior.py      a guess by an interior point, made of these
     step.py          from a problem to its step, or to None where the dense form is to answer
 
+Closed forms, and steps that a few corrections of the last one's rows come to, are found and proven in the compiled core in
+one go (`compiled/tree_search.hpp`), to the same bits; what asks for an interior point, for one row after the other or for
+more digits goes on here, by the core's factors.
+
 What is answered, and what is left to the dense form:
 
 | feature | along the tree |

@@ -54,10 +54,11 @@ class Search:
 
     Args:
         posed: the problem.
+        is_tried: whether a few corrections are known to lead to no optimum from where the search is to start.
     """
 
-    def __init__(self, posed: PosedOnTree) -> None:
-        self.posed, self._factors = posed, posed.factors
+    def __init__(self, posed: PosedOnTree, *, is_tried: bool = False) -> None:
+        self.posed, self._factors, self._is_tried = posed, posed.factors, is_tried
         self._frozen = posed.lower == posed.upper
         self._least: float | None = None
         self._corrections = 0
@@ -230,8 +231,8 @@ class Search:
 
         Where a few corrections do not find it, an interior point says where to go on from.
         """
-        self._corrections = 0
-        found = self._in_blocks(active, FEW)
+        self._corrections = FEW if self._is_tried else 0
+        found = None if self._is_tried else self._in_blocks(active, FEW)
         for less in LESS[: len(self.posed.parts) - 1]:  # one level has none below it
             if found is None and (inside := guessed(self.posed, less)) is not None:
                 found = self._in_blocks(inside.active, FEW) or self._one_by_one(inside.u, inside.active, MORE)

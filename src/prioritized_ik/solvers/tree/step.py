@@ -6,9 +6,10 @@ from time import perf_counter
 import numpy as np
 
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.solvers.compiled.fast import LOOSE, TIGHT, Remembered
-from prioritized_ik.solvers.compiled.library import Question
-from prioritized_ik.solvers.compiled.workspace import numbered_names
+from prioritized_ik.solvers.compiled.fast import LOOSE, TIGHT, CompiledStep, Remembered, guessed
+from prioritized_ik.solvers.compiled.library import Ending, Question
+from prioritized_ik.solvers.compiled.tree_step import PATH, compiled_tree_step
+from prioritized_ik.solvers.compiled.workspace import recent_names
 from prioritized_ik.solvers.report import DeferredReports
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.solvers.tree.active_set import Found, Search
@@ -16,7 +17,6 @@ from prioritized_ik.solvers.tree.certificate import ActiveSet
 from prioritized_ik.solvers.tree.posed import PosedOnTree, is_on_tree
 from prioritized_ik.tolerances import ACCEPTED_VIOLATION, NEAR_ZERO, TREE_ZERO
 
-PATH = "tree"
 KINEMATICS = ("auto", "tree", "dense")  # see `SolveOptions.kinematics`
 
 #: Joints from which on the tree's form is faster, see `docs/performance.md`.
@@ -49,14 +49,17 @@ def tree_step(
         question: the step; only a closed form that breaks no row; or no closed form first.
         method: name of who solves.
     """
+    quick = Ending.RANK if rank_tolerance else compiled_tree_step(problem, rank_tolerance, rows, question, method)
+    if isinstance(quick, CompiledStep):
+        return quick, quick.written.active
     started = perf_counter()
     posed = PosedOnTree(problem)
     if not posed.has_clear_rows:
         return None
-    names, numbers = numbered_names(problem.bounds.names, problem.rows.names, ())
+    names, numbers = recent_names(problem.bounds.names, problem.rows.names)
     found = None
     for zero in (TREE_ZERO, NEAR_ZERO):
-        search = Search(posed)
+        search = Search(posed, is_tried=quick is Ending.UNSETTLED and zero == TREE_ZERO)
         if not rank_tolerance or search.has_clear_ranks(rank_tolerance):
             found = _found(search, _guess(search, rows, names, numbers), question)
         if found is not None or zero == NEAR_ZERO:
@@ -89,12 +92,7 @@ def _guess(
     search: Search, rows: Collection[str] | Remembered, names: tuple[str, ...], numbers: dict[str, int]
 ) -> ActiveSet:
     """Return which bounds and rows the step may rest on, those that the problem does not have left out."""
-    chosen = np.zeros(len(names), dtype=bool)
-    if isinstance(rows, Remembered) and rows.names is names:
-        chosen[:] = np.frombuffer(rows.kept, dtype=np.uint8) != LOOSE
-    else:
-        known = rows.named() if isinstance(rows, Remembered) else rows
-        chosen[[numbers[name] for name in known if name in numbers]] = True
+    chosen = np.frombuffer(guessed(rows, names, numbers), dtype=np.uint8) != LOOSE
     posed, guess, m = search.posed, search.nothing(), search.posed.tree.joint_count
     free = guess.side == 0
     upper = chosen[:m] & free & np.isfinite(posed.upper)
