@@ -272,6 +272,17 @@ def test_ranks_that_single_rows_overstate_are_looked_at_anew(seed):
     np.testing.assert_allclose(step.dtheta, dense.dtheta, atol=SAME * np.linalg.norm(dense.dtheta))
 
 
+@pytest.mark.parametrize("seed", [760023, 760041, 760241, 760369])
+def test_what_rounding_of_weak_levels_above_leaves_is_felt_by_no_level(seed):
+    # The first level decides a direction by 1e-8 of a row, so that what it leaves is known to 1e-8; matrices are less exact.
+    problem = _kinked(seed)
+    step, verdict = _step(problem, ALONG_LINKS), judged(problem, ())
+    assert step.path == PATH
+    assert step.status is StepStatus.CLOSED_FORM
+    assert verdict.is_optimum, verdict
+    np.testing.assert_allclose(step.dtheta, verdict.u, atol=SAME * np.linalg.norm(verdict.u))
+
+
 # ---- Limits that hold a level by little
 
 

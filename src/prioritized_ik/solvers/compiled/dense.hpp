@@ -33,6 +33,9 @@ inline Wide wide_of(double x) { return Wide{x, x, x, x}; }
 inline Four folded(Wide x) { return x; }
 #endif
 
+// Two doubles at any address: two of whatever is worked out, side by side.
+typedef double Two __attribute__((vector_size(16), aligned(8)));
+
 inline Four& four(double* at) { return *reinterpret_cast<Four*>(at); }
 inline const Four& four(const double* at) { return *reinterpret_cast<const Four*>(at); }
 inline Wide& wide(double* at) { return *reinterpret_cast<Wide*>(at); }

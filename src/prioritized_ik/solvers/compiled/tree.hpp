@@ -32,7 +32,7 @@ class TreeElimination {
         for (int number = 0; number <= in_.levels; number++) {
             Level& level = levels_[number];
             in_.ranks[number] = 0;
-            in_.strongest[number] = 0.0;
+            in_.strongest[number] = 0.0, in_.weakest[number] = INFINITE;
             if (level.sorted.empty()) continue;
             sort(level);
             if (used_.empty()) level.start(in_, stages_);
@@ -41,7 +41,7 @@ class TreeElimination {
             used_.push_back(number);
             left -= level.rank;
             in_.ranks[number] = level.rank;
-            in_.strongest[number] = level.strongest;
+            in_.strongest[number] = level.strongest, in_.weakest[number] = level.weakest;
             clear = clear && (level.rank == 0 || level.weakest > in_.noise * level.strongest);
         }
         left_ = left;
@@ -155,45 +155,45 @@ class TreeElimination {
             for (int row : levels_[above].sorted) values[row] = pulls_[row] = -pulls_[row];
             torques(above, pulls_.data(), 1.0, rest, true);
         }
-        parts(rest, parts_.data());
-        const double* own = parts_.data();
-        int rank = left_;
-        if (is_last) own += inputs_ - left_;
-        else {
-            for (int above = 0; above < number; above++) own += in_.ranks[above];
-            rank = in_.ranks[number];
-        }
-        const double mine = dot(own, own, rank);
-        out.astray = 0.0;
-        for (int i = 0; i < inputs_; i++)
-            if (parts_.data() + i < own || parts_.data() + i >= own + rank) out.astray += parts_[i] * parts_[i];
-        out.astray = sqrt(out.astray);
+        for (int i = 0; i < k; i++) pulls_[i] = abs(values[i]) + (is_last ? 0.0 : sizes[i]);
+        sizes_of_torques(pulls_.data(), noise_.data());
+        for (int j = 0; j < m; j++) noise_[j] = rounded * (noise_[j] + (is_last ? sizes[j] : 0.0));
+        out.noise = norm(noise_.data(), m);
+        const int rank = is_last ? left_ : in_.ranks[number];
+        int first = is_last ? inputs_ - left_ : 0;  // place of the level's own part
+        for (int above = 0; above < number && !is_last; above++) first += in_.ranks[above];
+        double mine = 0.0, others = 0.0;
+        const auto count = [&](int i, double one) { (i < first || i >= first + rank ? others : mine) += one * one; };
         if (is_last) {
+            parts(rest, parts_.data());
+            for (int i = 0; i < inputs_; i++) count(i, parts_[i]);
             out.lower = mine;
             out.moved = sqrt(mine);
             copy(off, blur_.data(), m);
         } else {
-            whitened(number, own, white_.data());
-            out.lower = dot(white_.data(), white_.data(), rank);
-            displacement(number, white_.data(), blur_.data());
+            // What the rest could lower goes side by side with what its rounding can feign.
+            step_.resize(m);
+            for (int j = 0; j < m; j++) step_[j] = (j * 7919 % 13 < 6 ? 1.0 : -1.0) * noise_[j];
+            Two* both = parts_of_both(rest, step_.data());
+            for (int i = 0; i < inputs_; i++) count(i, both[i][0]);
+            clear(blur_.data(), m), clear(step_.data(), m);
+            if (rank) {
+                Two* white = room(both_white_, rank);
+                levels_[number].whiten(both + first, white);
+                for (int i = 0; i < rank; i++) out.lower += white[i][0] * white[i][0];
+                Two* moved = room(both_parts_, rank);
+                levels_[number].solve(white, moved);
+                join_both(number, moved, blur_.data(), step_.data());
+            }
             out.moved = norm(blur_.data(), m);
+            out.feigned = norm(step_.data(), m);
             for (int j = 0; j < m; j++) off[j] += blur_[j];
             stages_.twists(off, twists_);
             for (int row : levels_[number].sorted)
                 pulls_[row] = in_.roots[row] * product(stages_.row(row), twist_of(row));
             torques(number, pulls_.data(), 1.0, blur_.data());
         }
-        for (int i = 0; i < k; i++) pulls_[i] = abs(values[i]) + (is_last ? 0.0 : sizes[i]);
-        sizes_of_torques(pulls_.data(), noise_.data());
-        for (int j = 0; j < m; j++) noise_[j] = rounded * (noise_[j] + (is_last ? sizes[j] : 0.0));
-        out.noise = norm(noise_.data(), m);
-        if (!is_last && rank) {
-            step_.resize(m);
-            for (int j = 0; j < m; j++) step_[j] = (j * 7919 % 13 < 6 ? 1.0 : -1.0) * noise_[j];
-            levels_[number].whiten(parts(step_.data(), parts_.data(), number), white_.data());
-            displacement(number, white_.data(), step_.data());
-            out.feigned = norm(step_.data(), m);
-        }
+        out.astray = sqrt(others);
         for (int j = 0; j < m; j++) noise_[j] += abs(blur_[j]);
         if (is_last) out.feigned = norm(noise_.data(), m);
         copy(noise_.data(), of_bounds, m);
@@ -204,7 +204,7 @@ class TreeElimination {
         for (int above : used_)
             if (above < number) lowest = above;
         if (lowest >= 0) parts(step_.data(), parts_.data(), lowest);
-        own = parts_.data();
+        const double* own = parts_.data();
         for (int above : used_) {
             if (above >= number) break;
             if (in_.ranks[above]) {
@@ -322,12 +322,46 @@ class TreeElimination {
             Level& level = levels_[used_[k]];
             std::vector<double>& made = k % 2 ? f_ : z_;
             made.resize(level.inputs);
-            level.join(used_[k] == number ? e : nullptr, z, made.data());
+            level.join(used_[k] == number ? e : nullptr, static_cast<const double*>(z), made.data());
             z = made.data();
         }
         int at = 0;
         for (int j : stages_.joints)
             if (!in_.fixed[j]) u[j] += z[at++];
+    }
+
+    static Two* room(std::vector<double>& memory, int count) {
+        memory.resize(max(memory.size(), size_t(2) * count));
+        return reinterpret_cast<Two*>(memory.data());
+    }
+
+    // Two gradients in the coordinates of each level, then of what all leave, see `parts`.
+    Two* parts_of_both(const double* a, const double* b) {
+        Two *out = room(both_parts_, inputs_), *z = room(both_z_, inputs_), *f = room(both_f_, inputs_), *to = out;
+        int at = 0;
+        for (int j : stages_.joints)
+            if (!in_.fixed[j]) z[at++] = Two{a[j], b[j]};
+        for (int number : used_) {
+            levels_[number].split(z, to, f);
+            to += levels_[number].rank;
+            std::swap(z, f);
+        }
+        copy_few(z, to, left_);
+        return out;
+    }
+
+    // a, b += the steps of a level's coordinates, two at once; see `join`.
+    void join_both(int number, const Two* e, double* a, double* b) {
+        Two *made = room(both_z_, inputs_), *z = nullptr, *other = room(both_f_, inputs_);
+        for (size_t k = used_.size(); k-- > 0;) {
+            if (used_[k] > number) continue;
+            levels_[used_[k]].join(used_[k] == number ? e : nullptr, static_cast<const Two*>(z), made);
+            z = made;
+            std::swap(made, other);
+        }
+        int at = 0;
+        for (int j : stages_.joints)
+            if (!in_.fixed[j]) a[j] += z[at][0], b[j] += z[at][1], at++;
     }
 
     TreeInput in_{};
@@ -336,6 +370,7 @@ class TreeElimination {
     std::vector<Level> levels_;
     std::vector<int> used_;  // the levels that have rows
     int inputs_ = 0, left_ = 0;
+    std::vector<double> both_parts_, both_white_, both_z_, both_f_;
     std::vector<double> q_, e_, z_, f_, missing_, twists_, step_, parts_, pulls_, noise_, blur_, white_, wrenches_;
 };
 

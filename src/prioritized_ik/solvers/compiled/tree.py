@@ -26,7 +26,7 @@ class TreeInput(ctypes.Structure):
             for name in (
                 *("parents", "row_joints", "row_levels", "angular", "linear", "anchors"),
                 *("points", "directions", "roots"),
-                *("fixed", "counts", "lengths", "strongest", "ranks"),
+                *("fixed", "counts", "lengths", "strongest", "weakest", "ranks"),
             )
         ]
     )
@@ -68,7 +68,7 @@ class CompiledElimination(Factors):
         points, tree = rows.points, rows.points.tree
         m, k = tree.joint_count, len(points)
         self.fixed, self._counts = np.zeros(m, dtype=bool), np.zeros(k, dtype=bool)
-        self._lengths, self._strongest = np.zeros(k), np.zeros(rows.levels + 1)
+        self._lengths, self._strongest, self._weakest = np.zeros(k), np.zeros(rows.levels + 1), np.zeros(rows.levels + 1)
         self._ranks = np.zeros(rows.levels + 1, dtype=np.int32)
         self._kept: dict[str, NDArray[Any]] = {  # whose memory the input points to
             "parents": np.asarray(tree.parents, dtype=np.int32),
@@ -84,6 +84,7 @@ class CompiledElimination(Factors):
             "counts": self._counts,
             "lengths": self._lengths,
             "strongest": self._strongest,
+            "weakest": self._weakest,
             "ranks": self._ranks,
         }
         addresses = {name: array.ctypes.data for name, array in self._kept.items()}
@@ -97,6 +98,7 @@ class CompiledElimination(Factors):
         np.logical_or(self.rows.level != 0, held, out=self._counts)
         ending = Ending(checked(self._core.core_tree_factor(self._address)))
         self.ranks, self.strongest = self._ranks.tolist(), self._strongest.tolist()
+        self.weakest = self._weakest.tolist()
         sizes = [*self.ranks, len(fixed) - int(np.count_nonzero(fixed)) - sum(self.ranks)]
         ends = np.cumsum(sizes).tolist()
         self._parts = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]

@@ -6,14 +6,36 @@
 
 namespace prioritized_ik {
 
-// A matrix somewhere, row by row.
+// A matrix somewhere, column by column.
 struct View {
     const double* at = nullptr;
     int stride = 0;
-    const double* row(int i) const { return at + size_t(i) * stride; }
+    const double* column(int j) const { return at + size_t(j) * stride; }
 };
 
-// One step of a frame's flow, and what the level made of it. The first frame's flow and inputs are the stages' own.
+// Memory that grows and is not given back; what is taken holds anything.
+class Pool {
+  public:
+    void clear() { used_ = 0; }
+    size_t take(size_t n) {
+        const size_t at = used_;
+        used_ += n;
+        if (used_ > memory_.size()) memory_.resize(max(used_, 2 * memory_.size()));
+        return at;
+    }
+    void shrink(size_t used) { used_ = used; }
+    double* at(size_t place) { return memory_.data() + place; }
+    const double* at(size_t place) const { return memory_.data() + place; }
+    size_t memory() const { return sizeof(double) * memory_.capacity(); }
+
+  private:
+    std::vector<double> memory_;
+    size_t used_ = 0;
+};
+
+// One step of a frame's flow, and what the level made of it: an orthogonal matrix of (w just before, z), c of them, to
+// (e, w, f), and what these do to x. It stands in the pool column by column, that of an e, w or f after the other: its part
+// of the c, then of x (d). The first frame's flow and inputs are the stages' own.
 struct LevelStep {
     int stage;                      // or -1 at the end
     int d, d_before, inputs;        // sizes of x here and just before, and of z
@@ -21,14 +43,14 @@ struct LevelStep {
     int in_at;                      // where z starts
     int before, decided, left;      // sizes of w just before, of e and of w
     int e_at;                       // where e starts
-    size_t turn, moved, state;      // Q (c, c), M (d, e) and N (d, w), in the pool, rows padded
+    int lanes;                      // from one column to the next
+    size_t columns;                 // where they are in the pool
     int f_at;                       // where f starts, in the order of the frame below
     int own, own_end, rows;         // its rows among the sorted ones; those met in all
     int squeezed, handed;           // reflectors that left fewer of them; how many were left
     size_t tape, root;              // reflectors, each after its factor; [R S], rows padded
 
     int size() const { return before + inputs; }
-    int width() const { return padded(size()); }
     int turned() const { return inputs + before - decided - left; }  // size of f
 };
 
@@ -74,7 +96,7 @@ class Frame {
         steps.resize(count);
         int at = 0;
         size_t need = 0;
-        for (const LevelStep& from : above.steps) need += size_t(TWIST + from.before) * padded(from.left);
+        for (const LevelStep& from : above.steps) need += size_t(padded(TWIST)) * from.left;
         moves_.resize(need);
         double* place = moves_.data();
         for (int k = 0; k < count; k++) {
@@ -84,27 +106,22 @@ class Frame {
             step.d = from.before;
             step.d_before = from.left;
             step.inputs = from.turned();
-            const double* turn = above.pool_.data() + from.turn;
-            step.flow = {place, padded(from.left)};
-            for (int i = 0; i < from.before; i++, place += step.flow.stride) {
-                copy(turn + size_t(i) * from.width() + from.decided, place, from.left);
-                clear(place + from.left, step.flow.stride - from.left);
-            }
-            step.in = {turn + from.decided + from.left, from.width()};
+            step.flow = {above.column(from, from.decided), from.lanes};
+            step.in = {above.column(from, from.decided + from.left), from.lanes};
             step.in_at = at;
             at += step.inputs;
             step.stage = -1;
             if (k + 1 == count) continue;
             const LevelStep& earlier = above.steps[count - 2 - k];
             step.stage = earlier.stage;
-            const View state{above.pool_.data() + earlier.state, padded(earlier.left)};
+            const double* state = above.column(earlier, earlier.decided) + earlier.size();
             if (above.is_first) {
-                step.twist = state;
+                step.twist = {state, earlier.lanes};
                 continue;
             }
-            step.twist = {place, state.stride};
-            for (int i = 0; i < TWIST; i++, place += state.stride)
-                combine(earlier.twist.row(i), state.at, state.stride, earlier.d, place, state.stride);
+            step.twist = {place, padded(TWIST)};
+            for (int j = 0; j < earlier.left; j++, place += padded(TWIST), state += earlier.lanes)
+                combine(state, earlier.twist.at, earlier.twist.stride, earlier.d, place, padded(TWIST));
         }
         inputs = at;
     }
@@ -122,9 +139,11 @@ class Frame {
             if (step.stage >= 0) step.own = starts_[step.stage], step.own_end = starts_[step.stage + 1];
             step.e_at = decided;
             part(in, stages, step, k ? &steps[k - 1] : nullptr);
-            most_ = max(most_, max(step.width(), max(padded(step.d), padded(step.decided + step.d_before))));
+            most_ = max(most_, WIDE + max(padded(step.size()), max(padded(step.d), padded(step.decided + step.d_before))));
             decided += step.decided;
         }
+        const size_t end = pool_.take(2 * WIDE);  // that vector instructions may read beyond the last column
+        clear(pool_.at(end), 2 * WIDE);
         for (size_t k = steps.size(); k-- > 0;) {
             steps[k].f_at = at;
             at += steps[k].turned();
@@ -132,125 +151,125 @@ class Frame {
         return decided;
     }
 
-    // z -> e, f; f in the order of the frame below.
-    void split(const double* z, double* e, double* f) {
-        double *given = buffer(most_), *out = given + most_;  // w and z of a step; e, w and f
+    // z -> e, f; f in the order of the frame below. Of doubles, or two at once.
+    template <class T> void split(const T* z, T* e, T* f) {
+        T *given = buffer<T>(most_), *out = given + most_;  // w and z of a step; e, w and f
         for (const LevelStep& step : steps) {
-            const int width = step.width();
+            const int c = step.size(), width = padded(c);
             copy_few(z + step.in_at, given + step.before, step.inputs);
-            combine(given, pool_.data() + step.turn, width, step.size(), out, width);
-            if (step.decided) copy_few(out, e + step.e_at, step.decided);
+            const double* column = this->column(step, 0);
+            if constexpr (std::is_same_v<T, double>) {
+                clear_few(given + c, width - c);
+                for (int j = 0; j < c; j++, column += step.lanes) out[j] = dot(given, column, width);
+            } else
+                for (int j = 0; j < c; j++, column += step.lanes) out[j] = summed(given, column, c);
+            copy_few(out, e + step.e_at, step.decided);
             copy_few(out + step.decided, given, step.left);
             copy_few(out + step.decided + step.left, f + step.f_at, step.turned());
         }
     }
 
-    // e, f -> z; zero where null.
-    void join(const double* e, const double* f, double* z) {
-        double *w = buffer(most_), *in = w + most_;
+    // e, f -> z; zero where null. Of doubles, or two at once.
+    template <class T> void join(const T* e, const T* f, T* z) {
+        T *w = buffer<T>(most_), *in = w + most_;
         for (size_t k = steps.size(); k-- > 0;) {
             const LevelStep& step = steps[k];
-            const int c = step.size(), width = step.width();
-            clear(in, width);
+            const int c = step.size(), first = step.decided + step.left;
             if (e) copy_few(e + step.e_at, in, step.decided);
+            else clear_few(in, step.decided);
             copy_few(w, in + step.decided, step.left);
-            if (f) copy_few(f + step.f_at, in + step.decided + step.left, step.turned());
-            const double* turn = pool_.data() + step.turn;
-            for (int i = 0; i < c; i++) {
-                const double value = dot(turn + size_t(i) * width, in, width);
-                if (i < step.before) w[i] = value;
-                else z[step.in_at + i - step.before] = value;
+            if constexpr (std::is_same_v<T, double>) {
+                combine(in, column(step, 0), step.lanes, first, w, padded(c));
+                if (f) add_columns(f + step.f_at, column(step, first), step.lanes, step.turned(), w, padded(c));
+            } else {
+                clear_few(w, c);
+                const double* column = this->column(step, 0);
+                for (int j = 0; j < (f ? c : first); j++, column += step.lanes) {
+                    const T value = j < first ? in[j] : f[step.f_at + j - first];
+                    for (int i = 0; i < c; i++) w[i] += value * column[i];
+                }
             }
+            copy_few(w + step.before, z + step.in_at, step.inputs);
         }
     }
 
     size_t memory() const {
-        return sizeof(double) * (pool_.capacity() + moves_.capacity() + first_axes_.capacity() + work_.capacity()) +
+        return pool_.memory() + sizeof(double) * (moves_.capacity() + first_axes_.capacity() + work_.capacity()) +
                sizeof(LevelStep) * steps.capacity() + sizeof(int) * (sorted.capacity() + starts_.capacity());
     }
 
   protected:
     // Room for two of a size; no two functions use it at once.
-    double* buffer(int size) {
-        if (int(buffer_.size()) < 2 * padded(size) + LANES) buffer_.resize(size_t(2) * padded(size) + LANES);
-        return buffer_.data();
+    template <class T> T* buffer(int size) {
+        const size_t need = (size_t(2) * padded(size) + LANES) * (sizeof(T) / sizeof(double));
+        if (buffer_.size() < need) buffer_.resize(need);
+        return reinterpret_cast<T*>(buffer_.data());
     }
 
-    // A row on a stage's twist as one on x (d, padded).
+    template <class T> static T summed(const T* values, const double* factors, int n) {
+        T sum = {};
+        for (int i = 0; i < n; i++) sum += values[i] * factors[i];
+        return sum;
+    }
+
+    double* column(const LevelStep& step, int j) { return pool_.at(step.columns + size_t(j) * step.lanes); }
+    const double* column(const LevelStep& step, int j) const { return pool_.at(step.columns + size_t(j) * step.lanes); }
+
+    // What e, w or f of a number does to x (d).
+    const double* moved(const LevelStep& step, int j) const { return column(step, j) + step.size(); }
+
+    // A row on a stage's twist as one on x (d).
     void row_here(const LevelStep& step, const double* given, double factor, double* x) const {
         if (is_first) {
-            clear(x + TWIST, step.d - TWIST);
             for (int i = 0; i < TWIST; i++) x[i] = factor * given[i];
-            return;
-        }
-        double scaled[TWIST];
-        for (int i = 0; i < TWIST; i++) scaled[i] = factor * given[i];
-        combine(scaled, step.twist.at, step.twist.stride, TWIST, x, padded(step.d));
+            clear(x + TWIST, step.d - TWIST);
+        } else
+            for (int j = 0; j < step.d; j++) x[j] = factor * product(given, step.twist.column(j));
     }
 
-    // An entry of G.
-    double input(const LevelStep& step, int row, int column) const {
-        if (!is_first) return step.in.row(row)[column];
-        return row < TWIST ? first_axes_[size_t(TWIST) * (step.in_at + column) + row] : 0.0;
+    // A column of G (d), which is zero beyond `TWIST` in the first frame.
+    const double* input(const LevelStep& step, int j) const {
+        return is_first ? first_axes_.data() + size_t(TWIST) * (step.in_at + j) : step.in.column(j);
     }
+    int inputs_felt(const LevelStep& step) const { return is_first ? min(step.d, TWIST) : step.d; }
 
-    // to (d) := F from (d_before)
-    void flow(const Stages& stages, const LevelStep& step, const double* from, double* to) const {
+    // to (d, padded) := F from (d_before)
+    template <class T> void flow(const Stages& stages, const LevelStep& step, const T* from, T* to) const {
         if (!is_first) {
-            for (int i = 0; i < step.d; i++) to[i] = dot(step.flow.row(i), from, step.d_before);
+            if constexpr (std::is_same_v<T, double>) return combine(from, step.flow.at, step.flow.stride, step.d_before, to, padded(step.d));
+            clear_few(to, step.d);
+            for (int j = 0; j < step.d_before; j++)
+                for (int i = 0; i < step.d; i++) to[i] += from[j] * step.flow.column(j)[i];
             return;
         }
         if (step.stage < 0) return;
         const Stage& stage = stages.all[step.stage];
         for (int b = 0; b < stage.states; b++) {
             const int place = stages.kept[stage.kept + b];
-            if (place < 0) clear(to + TWIST * b, TWIST);
+            if (place < 0) clear_few(to + TWIST * b, TWIST);
             else if (b == 0) move_twist(from + TWIST * place, stage.arm, to);
-            else copy(from + TWIST * place, to + TWIST * b, TWIST);
+            else copy_few(from + TWIST * place, to + TWIST * b, TWIST);
         }
     }
 
-    // to (d_before, padded) := row (d) F
-    void flow_back(const Stages& stages, const LevelStep& step, const double* row, double* to) const {
-        if (!is_first) return combine(row, step.flow.at, step.flow.stride, step.d, to, padded(step.d_before));
-        clear(to, step.d_before);
-        if (step.stage < 0) return;
+    // to (d_before) := row (d) F
+    template <class T> void flow_back(const Stages& stages, const LevelStep& step, const T* row, T* to) const {
+        if (!is_first) {
+            for (int j = 0; j < step.d_before; j++) to[j] = summed(row, step.flow.column(j), step.d);
+            return;
+        }
+        if (step.stage < 0) return clear_few(to, step.d_before);
         const Stage& stage = stages.all[step.stage];
+        if (stage.states == 1 && step.d_before == TWIST && stages.kept[stage.kept] == 0) return move_row(row, stage.arm, to);
+        clear_few(to, step.d_before);
         for (int b = 0; b < stage.states; b++) {
             const int place = stages.kept[stage.kept + b];
             if (place < 0) continue;
-            double moved[TWIST];
+            T moved[TWIST];
             if (b == 0) move_row(row, stage.arm, moved);
-            else copy(row + TWIST * b, moved, TWIST);
+            else copy_few(row + TWIST * b, moved, TWIST);
             for (int i = 0; i < TWIST; i++) to[TWIST * place + i] += moved[i];
         }
-    }
-
-    // whole (d, c) := [F N_before, G]
-    void gather(const Stages& stages, const LevelStep& step, const LevelStep* prior, double* whole) const {
-        const int w = step.width(), before = step.before, stride = padded(before);
-        const double* N = prior ? pool_.data() + prior->state : nullptr;
-        if (!is_first)
-            for (int i = 0; i < step.d; i++) combine(step.flow.row(i), N, stride, step.d_before, whole + size_t(i) * w, stride);
-        else if (step.stage >= 0) {
-            const Stage& stage = stages.all[step.stage];
-            for (int b = 0; b < stage.states; b++) {
-                const int place = stages.kept[stage.kept + b];
-                if (place < 0) continue;
-                double* to = whole + size_t(TWIST) * b * w;
-                for (int i = 0; i < TWIST; i++) copy(N + size_t(TWIST * place + i) * stride, to + size_t(i) * w, before);
-                if (b > 0) continue;
-                const double* a = stage.arm;
-                for (int i = 0; i < 3; i++) {  // v + w x a
-                    const int p = (i + 1) % 3, q = (i + 2) % 3;
-                    add(a[q], to + size_t(p) * w, to + size_t(3 + i) * w, before);
-                    add(-a[p], to + size_t(q) * w, to + size_t(3 + i) * w, before);
-                }
-            }
-        }
-        const int most = is_first ? min(step.d, TWIST) : step.d;
-        for (int i = 0; i < most; i++)
-            for (int j = 0; j < step.inputs; j++) whole[size_t(i) * w + before + j] = input(step, i, j);
     }
 
     // How far components of x move at most, in spread_; kept from step to step of the first frame.
@@ -270,93 +289,96 @@ class Frame {
     // See `frames.part`.
     void part(const TreeInput& in, const Stages& stages, LevelStep& step, const LevelStep* prior) {
         step.before = prior ? prior->left : 0;
-        const int c = step.size(), w = step.width(), d = step.d, n = step.own_end - step.own;
-        work_.assign(size_t(c + d + n) * w + padded(d) + LANES, 0.0);
-        double *turn = work_.data(), *whole = turn + size_t(c) * w, *rows = whole + size_t(d) * w, *x = rows + size_t(n) * w;
-        for (int i = 0; i < c; i++) turn[size_t(i) * w + i] = 1.0;
-        gather(stages, step, prior, whole);
-        zeros_.resize(max(n, d));
-        scales_.assign(max(n, d), 1.0);
+        const int c = step.size(), d = step.d, n = step.own_end - step.own, lanes = padded(c + d + n), kept = padded(c + d);
+        work_.resize(max(work_.size(), size_t(c) * lanes + padded(d) + 2 * WIDE + padded(n)));
+        double *work = work_.data(), *x = work + size_t(c) * lanes + WIDE;
+        double* column = work;
+        const int felt = inputs_felt(step);
+        for (int j = 0; j < c; j++, column += lanes) {
+            for (int i = 0; i < lanes; i += WIDE) wide(column + i) = Wide{};
+            if (j < step.before) flow(stages, step, moved(*prior, prior->decided + j), column + c);
+            else copy_few(input(step, j - step.before), column + c, felt);
+            for (int i = 0; i < c; i++) column[i] = i == j;
+        }
+        squares_.resize(max(squares_.size(), size_t(lanes)));
+        least_.resize(max(least_.size(), size_t(lanes)));
+        scales_.resize(max(scales_.size(), size_t(lanes)));
         for (int i = 0; i < n; i++) {
             const int row = sorted[step.own + i];
-            zeros_[i] = stages.zeros[row];
+            least_[c + d + i] = stages.zeros[row] * stages.zeros[row], scales_[c + d + i] = 1.0;
             row_here(step, stages.row(row), 1.0 / in.lengths[row], x);
-            combine(x, whole, w, is_first ? min(TWIST, d) : d, rows + size_t(i) * w, w);
+            for (int j = 0; j < c; j++) {
+                double* at = work + size_t(j) * lanes + c;
+                double felt = 0.0;
+                for (int k = 0; k < (is_first ? TWIST : d); k++) felt += x[k] * at[k];
+                at[d + i] = felt;
+            }
         }
-        step.decided = lq(rows, n, 0, c, w, c + d + n);
+        step.decided = lq(c + d, n, 0, c, lanes);
         spread_here(stages, step);
-        for (int i = 0; i < d; i++) zeros_[i] = TINY, scales_[i] = spread_[i] > 0.0 ? 1.0 / spread_[i] : 1.0;
-        step.left = lq(whole, d, step.decided, c, w, c + d) - step.decided;
-        step.turn = saved(turn, c, w, w);
-        step.moved = saved(whole, d, w, step.decided);
-        step.state = saved(whole + step.decided, d, w, step.left);
+        for (int i = 0; i < d; i++) {
+            const double scale = spread_[i] > 0.0 ? 1.0 / spread_[i] : 1.0;
+            least_[c + i] = TINY * TINY, scales_[c + i] = scale * scale;
+        }
+        step.left = lq(c, d, step.decided, c, lanes) - step.decided;
+        step.lanes = kept;
+        step.columns = pool_.take(size_t(c) * kept);
+        double* to = pool_.at(step.columns);
+        for (int j = 0; j < c; j++)
+            for (int i = 0; i < kept; i += WIDE, to += WIDE) wide(to) = wide(work + size_t(j) * lanes + i);
     }
 
-    // Copies `columns` of rows (n) of a stride to the pool, padded by zeros.
-    size_t saved(const double* rows, int n, int stride, int columns) {
-        const size_t at = pool_.size();
-        const int width = padded(columns);
-        pool_.resize(at + size_t(n) * width, 0.0);
-        for (int i = 0; i < n; i++) copy(rows + size_t(i) * stride, pool_.data() + at + size_t(i) * width, columns);
-        return at;
-    }
-
-    // See `row_pivoted_lq`; `all` rows of work_ are turned. Returns the column after the last that a row depends on.
-    int lq(double* rows, int n, int from, int c, int w, int all) {
-        vector_.resize(w);
+    // See `row_pivoted_lq`, of n rows among the `lanes` of work_, c columns, which stand one after the other; all are turned.
+    // Returns the column after the last that a row depends on.
+    int lq(int first, int n, int from, int c, int lanes) {
+        vector_.resize(max(vector_.size(), size_t(c)));
+        double *work = work_.data(), *v = vector_.data(), *squares = squares_.data();
         int done = from;
         for (; done < c && done - from < n; done++) {
+            for (int k = aligned_start(first); k < first + n; k += WIDE) {
+                Wide sum = {};
+                for (int j = done; j < c; j++) sum += wide(work + size_t(j) * lanes + k) * wide(work + size_t(j) * lanes + k);
+                wide(squares + k) = sum;
+            }
             int best = -1;
             double most = 0.0;
-            for (int i = 0; i < n; i++) {
-                const double size = length_from(rows + size_t(i) * w, done, w) * scales_[i];
-                if (size > zeros_[i] && size > most) most = size, best = i;
+            for (int i = first; i < first + n; i++) {
+                const double square = squares[i] * scales_[i];
+                if (square > least_[i] && square > most) most = square, best = i;
             }
             if (best < 0) break;
-            double *row = rows + size_t(best) * w, *v = vector_.data(), tau;
-            clear(v, w);
-            const double beta = reflector(row + done, v + done, c - done, tau);
-            reflect_all(aligned_start(done), w, all, tau);
-            row[done] = beta;
-            clear(row + done + 1, c - done - 1);
+            double* row = work + size_t(done) * lanes + best;
+            const double head = row[0], size = sqrt(squares[best]), beta = head >= 0.0 ? -size : size, scale = 1.0 / (head - beta);
+            const double tau = (beta - head) / beta;
+            for (int j = done + 1; j < c; j++) v[j] = work[size_t(j) * lanes + best] * scale;
+            for (int k = 0; k < lanes; k += WIDE) {
+                double* at = work + size_t(done) * lanes + k;
+                Wide sum = wide(at), other = {};
+                for (int j = done + 1; j < c; j++) {
+                    Wide& to = (j - done) % 2 ? other : sum;
+                    to += wide_of(v[j]) * wide(work + size_t(j) * lanes + k);
+                }
+                sum = (sum + other) * wide_of(tau);
+                wide(at) -= sum;
+                // Of the row itself nothing is left, to the last bit: where that is much less than what was, digits count.
+                const bool is_there = best >= k && best < k + WIDE;
+                const Wide kept = is_there ? wide(ALL_BUT_ONE + 8 - (best - k)) : wide_of(1.0);
+                for (int j = done + 1; j < c; j++) {
+                    Wide& to = wide(work + size_t(j) * lanes + k);
+                    to = (to - wide_of(v[j]) * sum) * kept;
+                }
+            }
         }
         return done;
     }
 
-    // Turns `all` rows of work_ (w) by the reflector in vector_, which is zero before `start`.
-    void reflect_all(int start, int w, int all, double tau) {
-        const double* v = vector_.data();
-        int i = 0;
-        for (; i + 4 <= all; i += 4) {
-            double *a = work_.data() + size_t(i) * w, *b = a + w, *c = b + w, *d = c + w;
-            Wide p = {}, q = {}, r = {}, s = {};
-            for (int j = start; j < w; j += WIDE) {
-                const Wide x = wide(v + j);
-                p += wide(a + j) * x, q += wide(b + j) * x, r += wide(c + j) * x, s += wide(d + j) * x;
-            }
-            const Four factors = totals(p, q, r, s) * -tau;
-            for (int j = start; j < w; j += WIDE) {
-                const Wide x = wide(v + j);
-                wide(a + j) += wide_of(factors[0]) * x, wide(b + j) += wide_of(factors[1]) * x;
-                wide(c + j) += wide_of(factors[2]) * x, wide(d + j) += wide_of(factors[3]) * x;
-            }
-        }
-        for (; i < all; i++) reflect(work_.data() + size_t(i) * w + start, v + start, tau, w - start);
-    }
-
-    // Length of a row (w) from a column on.
-    static double length_from(const double* row, int first, int w) {
-        static constexpr double counts[] = {0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1};
-        const int start = aligned_start(first);
-        const Wide counted = wide(row + start) * wide(counts + 8 + start - first);
-        Wide sum = counted * counted;
-        for (int j = start + WIDE; j < w; j += WIDE) sum += wide(row + j) * wide(row + j);
-        return sqrt(total(folded(sum)));
-    }
+    static constexpr double ALL_BUT_ONE[] = {1, 1, 1, 1, 1, 1, 1, 1, 0, 1, 1, 1, 1, 1, 1, 1, 1};
+    static_assert(WIDE <= 8, "as many ones on both sides");
 
     int most_ = 0;  // numbers of a step
     std::vector<int> starts_;
-    std::vector<double> pool_, moves_, first_axes_, work_, buffer_, vector_, zeros_, scales_, spread_, other_spread_;
+    Pool pool_;
+    std::vector<double> moves_, first_axes_, work_, buffer_, vector_, squares_, least_, scales_, spread_, other_spread_;
 };
 
 }  // namespace prioritized_ik

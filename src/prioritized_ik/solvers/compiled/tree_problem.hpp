@@ -65,11 +65,11 @@ class PosedOnTree : public TreeElimination {
         lower_ = problem.lower, upper_ = problem.upper, reference_ = problem.reference;
         metric_root_.clear();
         if (problem.metric && std::any_of(problem.metric, problem.metric + m, [](double one) { return one != 1.0; })) in_metric(problem, in);
-        fixed_.assign(m, 0), counts_.assign(k_, 0), ranks_.resize(levels + 1), strongest_.resize(levels + 1);
+        fixed_.assign(m, 0), counts_.assign(k_, 0), ranks_.resize(levels + 1), strongest_.resize(levels + 1), weakest_.resize(levels + 1);
         in.parents = parents_.data(), in.row_joints = row_joints_.data(), in.row_levels = row_levels_.data();
         in.anchors = problem.anchors, in.points = points_.data(), in.directions = directions_.data(), in.roots = roots_.data();
         in.fixed = fixed_.data(), in.counts = counts_.data(), in.lengths = lengths_.data();
-        in.strongest = strongest_.data(), in.ranks = ranks_.data();
+        in.strongest = strongest_.data(), in.weakest = weakest_.data(), in.ranks = ranks_.data();
         pose(in);
         strengths_.assign(levels + 1, 0.0), demands_.assign(levels + 1, 0.0);
         for (int level = 1; level <= levels; level++) {
@@ -105,7 +105,7 @@ class PosedOnTree : public TreeElimination {
     std::vector<double> targets_, sides_, roots_, lengths_, strengths_, demands_;
     std::vector<double> motions_, terms_, missing_by_, slack_;
     std::vector<uint8_t> fixed_, counts_;
-    std::vector<double> strongest_;
+    std::vector<double> strongest_, weakest_;
     std::vector<int32_t> ranks_;
 
   private:

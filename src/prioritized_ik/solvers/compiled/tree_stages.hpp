@@ -16,7 +16,7 @@ struct TreeInput {
     const double *angular, *linear, *anchors;    // (m, 3)
     const double *points, *directions, *roots;   // (k, 3), (k, 3), (k)
     const uint8_t *fixed, *counts;              // (m), (k)
-    double *lengths, *strongest;                // out (k), (levels + 1)
+    double *lengths, *strongest, *weakest;      // out (k), (levels + 1), (levels + 1)
     int32_t* ranks;                             // out (levels + 1)
 };
 
@@ -30,7 +30,7 @@ inline double product(const double* row, const double* twist) {
 }
 
 // A row on the twist at a point as one on that at a point an arm `a` back.
-inline void move_row(const double* row, const double* a, double* to) {
+template <class T> void move_row(const T* row, const double* a, T* to) {
     to[0] = row[0] + a[1] * row[5] - a[2] * row[4];
     to[1] = row[1] + a[2] * row[3] - a[0] * row[5];
     to[2] = row[2] + a[0] * row[4] - a[1] * row[3];
@@ -38,7 +38,7 @@ inline void move_row(const double* row, const double* a, double* to) {
 }
 
 // The twist at a point as that at a point an arm `a` away.
-inline void move_twist(const double* twist, const double* a, double* to) {
+template <class T> void move_twist(const T* twist, const double* a, T* to) {
     to[0] = twist[0], to[1] = twist[1], to[2] = twist[2];
     to[3] = twist[3] + twist[1] * a[2] - twist[2] * a[1];
     to[4] = twist[4] + twist[2] * a[0] - twist[0] * a[2];
@@ -59,9 +59,22 @@ inline void combine(const double* factors, const double* rows, int stride, int k
     }
 }
 
+// to += factors (k) times columns `stride` apart; of which n numbers, padded, are there to be read and written
+inline void add_columns(const double* factors, const double* columns, int stride, int k, double* to, int n) {
+    for (int j = 0; j < n; j += WIDE) {
+        Wide sum = wide(to + j);
+        for (int i = 0; i < k; i++) sum += wide_of(factors[i]) * wide(columns + size_t(i) * stride + j);
+        wide(to + j) = sum;
+    }
+}
+
 // `copy` where there are so few that a call takes longer.
-inline void copy_few(const double* from, double* to, int n) {
+template <class T> void copy_few(const T* from, T* to, int n) {
     for (int i = 0; i < n; i++) to[i] = from[i];
+}
+
+template <class T> void clear_few(T* a, int n) {
+    for (int i = 0; i < n; i++) a[i] = T{};
 }
 
 struct Stage {
@@ -82,8 +95,10 @@ class Stages {
 
     void build(const TreeInput& in) {
         const double unit = unit_of(in);
-        sort_joints(in);
-        add_states();
+        if (!is_known(in)) {
+            sort_joints(in);
+            add_states();
+        }
         add_axes(in, unit);
         add_rows(in, unit);
         measure(in);
@@ -109,11 +124,26 @@ class Stages {
 
   private:
     static constexpr double SHORT = 1e-5;  // [of its terms] a length this small is worked out anew
+    static constexpr int WIDTH = 8, GRAM = TWIST * WIDTH;
+
+    std::vector<uint8_t> carries_, carrying_;  // which joints carry rows; of the tree before
+    std::vector<int32_t> parents_;
+    std::vector<double> away_, grams_;
+
+    // Whether the stages are those of the tree before: which joints carry each other, and which carry rows.
+    bool is_known(const TreeInput& in) {
+        carries_.assign(in.joints, 0);
+        for (int i = 0; i < in.rows; i++) carries_[max(in.row_joints[i], 0)] = 1;
+        if (carries_ == carrying_ && int(parents_.size()) == in.joints &&
+            std::equal(parents_.begin(), parents_.end(), in.parents))
+            return true;
+        carrying_ = carries_;
+        parents_.assign(in.parents, in.parents + in.joints);
+        return false;
+    }
 
     void sort_joints(const TreeInput& in) {
         const int m = in.joints;
-        std::vector<uint8_t> carrying(m, 0);
-        for (int i = 0; i < in.rows; i++) carrying[max(in.row_joints[i], 0)] = 1;
         std::vector<int> weight(m, 1), first(m + 1, BASE), next(m, BASE), children(m + 1, 0), some;
         for (int j = m - 1; j >= 0; j--) {
             const int at = in.parents[j] < 0 ? m : in.parents[j];
@@ -143,7 +173,7 @@ class Stages {
                 joints.push_back(j);
                 of_joint[j] = int(all.size());
                 stage.count++;
-                if (children[j] != 1 || carrying[j] || stage.count == MOST) break;
+                if (children[j] != 1 || carrying_[j] || stage.count == MOST) break;
                 j = first[j];
             }
             all.push_back(stage);
@@ -193,19 +223,18 @@ class Stages {
     }
 
     // See `TreeRowsOnJoints.unit`.
-    static double unit_of(const TreeInput& in) {
-        std::vector<double> away;
-        away.reserve(in.rows);
+    double unit_of(const TreeInput& in) {
+        away_.clear();
         for (int i = 0; i < in.rows; i++) {
             if (in.row_joints[i] < 0) continue;
             const double *p = in.points + size_t(3) * i, *c = in.anchors + size_t(3) * in.row_joints[i];
-            const double x = p[0] - c[0], y = p[1] - c[1], z = p[2] - c[2], size = sqrt(x * x + y * y + z * z);
-            if (size > 0.0) away.push_back(size);
+            const double x = p[0] - c[0], y = p[1] - c[1], z = p[2] - c[2], square = x * x + y * y + z * z;
+            if (square > 0.0) away_.push_back(square);
         }
-        if (away.empty()) return 1.0;
-        const auto middle = away.begin() + away.size() / 2;
-        std::nth_element(away.begin(), middle, away.end());
-        return away.size() % 2 ? *middle : 0.5 * (*middle + *std::max_element(away.begin(), middle));
+        if (away_.empty()) return 1.0;
+        const auto middle = away_.begin() + away_.size() / 2;
+        std::nth_element(away_.begin(), middle, away_.end());
+        return away_.size() % 2 ? sqrt(*middle) : 0.5 * (sqrt(*middle) + sqrt(*std::max_element(away_.begin(), middle)));
     }
 
     // See `TreeRowsOnJoints.given`.
@@ -229,28 +258,36 @@ class Stages {
 
     // How much twists and rows move, and what of rows is rounding.
     void measure(const TreeInput& in) {
-        constexpr int ALL = TWIST * TWIST;
-        std::vector<double> grams(all.size() * ALL, 0.0);
+        grams_.resize(all.size() * GRAM);
         spread.resize(all.size() * TWIST);
         for (size_t n = 0; n < all.size(); n++) {
             const Stage& stage = all[n];
-            double* G = grams.data() + n * ALL;
-            if (stage.before != BASE) {
-                double half[ALL];  // G X^T, then X (G X^T), whose rows and columns are the same
-                const double* from = grams.data() + size_t(ALL) * stage.before;
-                for (int i = 0; i < TWIST; i++) move_twist(from + i * TWIST, stage.arm, half + i * TWIST);
+            Four low[TWIST], high[TWIST];  // numbers 0 to 3, and 4 and 5, of each row
+            if (stage.before == BASE)
+                for (int i = 0; i < TWIST; i++) low[i] = high[i] = Four{};
+            else {  // X G X^T, whose rows and columns are the same
+                const double *from = grams_.data() + size_t(GRAM) * stage.before, *a = stage.arm, x = a[0], y = a[1], z = a[2];
+                for (int i = 0; i < TWIST; i++) low[i] = four(from + i * WIDTH), high[i] = four(from + i * WIDTH + 4);
+                low[3] += low[1] * z - low[2] * y, high[3] += high[1] * z - high[2] * y;
+                low[4] += low[2] * x - low[0] * z, high[4] += high[2] * x - high[0] * z;
+                low[5] += low[0] * y - low[1] * x, high[5] += high[0] * y - high[1] * x;
                 for (int i = 0; i < TWIST; i++) {
-                    double column[TWIST];
-                    for (int k = 0; k < TWIST; k++) column[k] = half[k * TWIST + i];
-                    move_twist(column, stage.arm, G + i * TWIST);
+                    const Four row = low[i], none = {};
+                    high[i] += __builtin_shufflevector(row, none, 2, 0, 4, 4) * Four{x, y, 0.0, 0.0} -
+                               __builtin_shufflevector(row, none, 0, 1, 4, 4) * Four{z, x, 0.0, 0.0};
+                    low[i] += __builtin_shufflevector(row, none, 4, 4, 4, 1) * Four{0.0, 0.0, 0.0, z} -
+                              __builtin_shufflevector(row, none, 4, 4, 4, 2) * Four{0.0, 0.0, 0.0, y};
                 }
             }
             for (int i = 0; i < stage.count; i++) {
                 const double* g = axis(stage, i);
-                for (int p = 0; p < TWIST; p++)
-                    for (int q = 0; q < TWIST; q++) G[p * TWIST + q] += g[p] * g[q];
+                const Four first = four(g), second = {g[4], g[5], 0.0, 0.0};
+                for (int p = 0; p < TWIST; p++) low[p] += first * g[p], high[p] += second * g[p];
             }
-            for (int i = 0; i < TWIST; i++) spread[n * TWIST + i] = sqrt(max(G[i * TWIST + i], 0.0));
+            const double squares[] = {low[0][0], low[1][1], low[2][2], low[3][3], high[4][0], high[5][1]};
+            for (int i = 0; i < TWIST; i++) spread[n * TWIST + i] = sqrt(max(squares[i], 0.0));
+            double* to = grams_.data() + n * GRAM;
+            for (int i = 0; i < TWIST; i++) four(to + i * WIDTH) = low[i], four(to + i * WIDTH + 4) = high[i];
         }
         zeros.resize(in.rows);
         real.assign(in.rows, 0);
@@ -258,13 +295,14 @@ class Stages {
         for (int i = 0; i < in.rows; i++) {
             const double* c = given.data() + size_t(TWIST) * i;
             const int n = of_row[i];
-            const double* G = grams.data() + size_t(ALL) * n;
-            double terms = 0.0, square = 0.0;
+            const double* G = grams_.data() + size_t(GRAM) * n;
+            double terms = 0.0;
+            Four low = {}, high = {};
             for (int p = 0; p < TWIST; p++) {
                 terms += abs(c[p]) * spread[size_t(TWIST) * n + p];
-                for (int q = 0; q < TWIST; q++) square += c[p] * G[p * TWIST + q] * c[q];
+                low += four(G + p * WIDTH) * c[p], high += four(G + p * WIDTH + 4) * c[p];
             }
-            double size = sqrt(max(square, 0.0));
+            double size = sqrt(max(total(low * four(c)) + (high[0] * c[4] + high[1] * c[5]), 0.0));
             if (size < SHORT * terms) size = length_anew(n, c);
             in.lengths[i] = size;
             zeros[i] = max(in.zero, in.rounding * terms / (size > 0.0 ? size : 1.0));

@@ -15,7 +15,7 @@ from prioritized_ik.solvers.tree.certificate import ActiveSet, Digits, TreeProof
 from prioritized_ik.solvers.tree.factors import HELD, Ending
 from prioritized_ik.solvers.tree.interior import guessed
 from prioritized_ik.solvers.tree.posed import PosedOnTree
-from prioritized_ik.tolerances import CERTIFIED, CUT_MARGIN, FLOOR, FREE, KEPT, MARGIN, NOISE, REFINEMENTS, ROUNDING
+from prioritized_ik.tolerances import CERTIFIED, CUT_MARGIN, EPS, FLOOR, FREE, KEPT, MARGIN, NOISE, REFINEMENTS
 from prioritized_ik.validation import Array, length
 
 SHARE = 0.3  # [of the worst violation] what is broken by less is left for later
@@ -182,32 +182,36 @@ class Search:
 
     def _feels_what_it_decides(self, held: NDArray[np.bool_]) -> bool:
         """Whether what levels feel of directions that they do not decide is rounding."""
-        real = (self.posed.roots > 0.0) & (self.posed.lengths > ROUNDING * self.posed.lengths.max())
-        for level in range(len(self.posed.parts)):
-            rows = (self.posed.level == level) & real & ((level != HELD) | held)
-            if rows.any() and not self._is_rounding(level, rows):
+        posed, alike = self.posed, self.posed.factors_alike
+        alike.factor(self._factors.fixed, held)  # which decides the same
+        for level in range(len(posed.parts)):
+            rows = (posed.level == level) & (alike.rows.roots > 0.0) & ((level != HELD) | held)
+            if rows.any() and not self._is_rounding(level, np.where(rows, alike.rows.roots, 0.0)):
                 return False
         return True
 
-    def _is_rounding(self, level: int, rows: NDArray[np.bool_]) -> bool:
+    def _is_rounding(self, level: int, roots: Array) -> bool:
         """Whether no combination of a level's rows, at unit length, is more than rounding where the level decides nothing.
 
-        What it does decide may make up for what a direction is felt; the power method finds the largest of what is left.
+        What it does decide may make up for what a direction is felt; the power method finds the largest of what is left. Where
+        levels above decide by little, rounding turns what they leave by as much more, and what is felt of that is no more.
+
+        Args:
+            level: its number.
+            roots: what brings its rows to unit length `(k,)`, zero for others.
         """
-        posed, factors, largest = self.posed, self._factors, 0.0
-        sizes = np.where(rows, 1.0 / np.where(rows, posed.lengths, 1.0), 0.0)
-        squares = np.where(rows, posed.roots, 0.0) ** 2
-        u = factors.left_by(level, np.random.default_rng(0).standard_normal(posed.tree.joint_count))
+        posed, alike, largest = self.posed, self.posed.factors_alike, 0.0
+        u = alike.left_by(level, np.random.default_rng(0).standard_normal(posed.tree.joint_count))
         for _ in range(STARTED):
             if (size := length(u)) == 0.0:
                 break
             u = u / size
-            gradient = posed.rows.transposed_times(squares * factors.motions(u)[0])
-            best = u - factors.displacement(level, factors.whitened(level, factors.parts(gradient)[level]))
-            felt = sizes * factors.motions(best)[0]
+            gradient = posed.rows.transposed_times(roots**2 * alike.motions(u)[0])
+            best = u - alike.displacement(level, alike.whitened(level, alike.parts(gradient)[level]))
+            felt = roots * alike.motions(best)[0]
             largest = max(largest, length(felt))
-            u = factors.left_by(level, posed.rows.transposed_times(sizes * felt))
-        return largest <= NOISE
+            u = alike.left_by(level, posed.rows.transposed_times(roots * felt))
+        return largest <= max(NOISE, EPS / min(alike.weakest[:level], default=np.inf))
 
     @property
     def ranks(self) -> list[int] | None:

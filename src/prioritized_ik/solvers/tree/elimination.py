@@ -76,6 +76,7 @@ class Elimination(Factors):
             frame, outwards = next_frame(frame, steps), False
         self.ranks = [sum(step.decided for step in steps) for steps in self._parted]
         self.strongest = [triangle.strongest if triangle else 0.0 for triangle in self._triangles]
+        self.weakest = [triangle.weakest if triangle else np.inf for triangle in self._triangles]
         clear = all(some.weakest > NOISE * some.strongest for some in self._triangles if some and some.strongest)
         return Ending.CLEAR if clear else Ending.RANK
 

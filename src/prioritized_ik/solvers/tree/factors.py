@@ -119,13 +119,15 @@ class Factors(ABC):
         rows: of the problem.
         fixed: which joints are fixed `(m,)`.
         ranks: p of each level, `HELD` first.
-        strongest: largest pivot of each of these levels.
+        strongest: largest pivot of each of these levels, zero of one without.
+        weakest: smallest pivot of each, infinite of one without.
     """
 
     rows: TreeRowsOnJoints
     fixed: NDArray[np.bool_]
     ranks: list[int]
     strongest: list[float]
+    weakest: list[float]
 
     @abstractmethod
     def factor(self, fixed: NDArray[np.bool_], held: NDArray[np.bool_]) -> Ending:

@@ -12,7 +12,7 @@ from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.solvers.tree.elimination import Elimination
 from prioritized_ik.solvers.tree.factors import Factors, TreeRowsOnJoints
 from prioritized_ik.solvers.tree.fine_rows import FineRows
-from prioritized_ik.tolerances import NOISE, TREE_ZERO
+from prioritized_ik.tolerances import NOISE, ROUNDING, TREE_ZERO
 from prioritized_ik.tree_problem import TreeLevel, TreeRows, tree_of
 from prioritized_ik.validation import Array, length
 
@@ -31,6 +31,10 @@ def is_on_tree(problem: IKProblem) -> bool:
         and bool(pattern.levels)
         and tree_of(pattern) is not None
     )
+
+
+def _factors(rows: TreeRowsOnJoints) -> Factors:
+    return Elimination(rows) if library().core is None else CompiledElimination(rows)
 
 
 class PosedOnTree:
@@ -81,8 +85,14 @@ class PosedOnTree:
     @cached_property
     def factors(self) -> Factors:
         """What factors faces: the compiled core, where there is one."""
-        rows = self.on_joints
-        return Elimination(rows) if library().core is None else CompiledElimination(rows)
+        return _factors(self.on_joints)
+
+    @cached_property
+    def factors_alike(self) -> Factors:
+        """The same of rows of unit length; rows that say nothing weigh nothing."""
+        real = (self.roots > 0.0) & (self.lengths > ROUNDING * self.lengths.max(initial=0.0))
+        roots = np.where(real, 1.0 / np.where(real, self.lengths, 1.0), 0.0)
+        return _factors(TreeRowsOnJoints(self.rows, len(self.parts) - 1, self.level, roots, self.zero))
 
     @cached_property
     def lengths(self) -> Array:
