@@ -274,7 +274,7 @@ def test_ranks_that_single_rows_overstate_are_looked_at_anew(seed):
 
 @pytest.mark.parametrize("seed", [760023, 760041, 760241, 760369])
 def test_what_rounding_of_weak_levels_above_leaves_is_felt_by_no_level(seed):
-    # The first level decides a direction by 1e-8 of a row, so that what it leaves is known to 1e-8; matrices are less exact.
+    # The first level decides a direction so weakly that what it leaves is known to eight digits; matrices are less exact.
     problem = _kinked(seed)
     step, verdict = _step(problem, ALONG_LINKS), judged(problem, ())
     assert step.path == PATH
@@ -433,6 +433,48 @@ def test_both_forms_prove_alike(proven):
         np.testing.assert_allclose(one.bounds, other.bounds, rtol=1e-6, atol=1e-12)
         np.testing.assert_allclose(one.rows, other.rows, rtol=1e-6, atol=1e-12)
         assert 0.3 < one.rounding / other.rounding < 3.0
+
+
+class _Rounded(Elimination):
+    """Factors that say that rounding feigns a step so long, and that one half as long is to be mended."""
+
+    feigned = 0.0
+
+    def balance(self, level, *given, **known):
+        found = super().balance(level, *given, **known)
+        return dataclasses.replace(
+            found, feigned=max(found.feigned, self.feigned), moved=max(found.moved, 0.5 * self.feigned)
+        )
+
+
+@pytest.mark.parametrize(("feigned", "flat"), [(0.0, False), (0.5, False), (2.0, True)])
+def test_an_optimum_that_rounding_moves_by_more_than_itself_is_flat(proven, feigned, flat):
+    held = np.zeros(len(proven.posed.level), dtype=bool)
+    held[proven.posed.parts[0]] = proven.active.held
+    factors = _Rounded(proven.posed.on_joints)
+    factors.feigned = feigned * proven.scale
+    factors.factor(proven.active.side != 0, held)
+    proof = TreeProof(proven.posed, factors, proven.u, proven.active, proven.scale)
+    assert proof.is_flat is flat
+    assert proof.holds_with_margin is (feigned == 0.0)
+    nudged = proven.u.copy()
+    nudged[np.flatnonzero(proven.active.side == 0)[3]] += 3.0 * proven.scale
+    assert not TreeProof(proven.posed, factors, nudged, proven.active, proven.scale).is_flat
+
+
+def test_a_flat_optimum_on_limits_is_not_left_to_matrices(monkeypatch):
+    problem = _limited(1, 8)
+    monkeypatch.setattr(tree, "compiled_tree_step", lambda *_: Ending.UNPROVEN)
+    monkeypatch.setattr(_Rounded, "feigned", 1e3)
+    monkeypatch.setattr(
+        PosedOnTree, "factors", property(lambda posed: posed.__dict__.setdefault("f", _Rounded(posed.on_joints)))
+    )
+    step = _step(problem, ALONG_LINKS)
+    assert step.path == PATH
+    assert step.status is StepStatus.UNCERTIFIED
+    assert step.certificate.is_optimal
+    assert not step.certificate.holds
+    np.testing.assert_allclose(step.dtheta, _step(problem, BY_MATRICES).dtheta, atol=SAME * np.linalg.norm(step.dtheta))
 
 
 def test_the_certificate_names_the_rows_that_hold_a_level():

@@ -231,6 +231,31 @@ class TreeElimination {
         return left;
     }
 
+    // Largest singular value of a level's rows, without weights, from below: see `PosedOnTree.norm_of_matrix`.
+    double norm_of_matrix(int number) {
+        constexpr int POWERS = 30;  // of posed.py
+        std::vector<double> u(in_.joints), moved(in_.rows, 0.0);
+        double largest = 0.0;
+        for (int row : levels_[number].sorted) moved[row] = in_.lengths[row] / in_.roots[row];
+        for (int turn = 0; turn < POWERS; turn++) {
+            torques(number, moved.data(), 1.0, u.data());
+            const double size = norm(u.data(), in_.joints);
+            if (size == 0.0) return 0.0;
+            for (double& one : u) one /= size;
+            stages_.twists(u.data(), twists_);
+            double square = 0.0;
+            for (int row : levels_[number].sorted) {
+                const double felt = product(stages_.row(row), twist_of(row));
+                moved[row] = felt / in_.roots[row];
+                square += felt * felt;
+            }
+            largest = sqrt(square);
+        }
+        return largest;
+    }
+
+    int inputs() const { return inputs_; }
+
     size_t memory() const {
         size_t sum = sizeof(double) * (stages_.axes.capacity() + stages_.spread.capacity()) + sizeof(Stage) * stages_.all.capacity();
         for (const Level& level : levels_) sum += level.memory();

@@ -314,6 +314,12 @@ class Frame {
                 at[d + i] = felt;
             }
         }
+        for (int i = 0; i < lanes; i += WIDE) {
+            Wide sum = {};
+            for (int j = 0; j < c; j++) sum += wide(work + size_t(j) * lanes + i) * wide(work + size_t(j) * lanes + i);
+            wide(squares_.data() + i) = sum;
+        }
+        vector_.resize(max(vector_.size(), size_t(c)));
         step.decided = lq(c + d, n, 0, c, lanes);
         spread_here(stages, step);
         for (int i = 0; i < d; i++) {
@@ -329,17 +335,11 @@ class Frame {
     }
 
     // See `row_pivoted_lq`, of n rows among the `lanes` of work_, c columns, which stand one after the other; all are turned.
-    // Returns the column after the last that a row depends on.
+    // Returns the column after the last that a row depends on. In squares_ are those of the rows' lengths from a column on.
     int lq(int first, int n, int from, int c, int lanes) {
-        vector_.resize(max(vector_.size(), size_t(c)));
         double *work = work_.data(), *v = vector_.data(), *squares = squares_.data();
         int done = from;
         for (; done < c && done - from < n; done++) {
-            for (int k = aligned_start(first); k < first + n; k += WIDE) {
-                Wide sum = {};
-                for (int j = done; j < c; j++) sum += wide(work + size_t(j) * lanes + k) * wide(work + size_t(j) * lanes + k);
-                wide(squares + k) = sum;
-            }
             int best = -1;
             double most = 0.0;
             for (int i = first; i < first + n; i++) {
@@ -347,29 +347,44 @@ class Frame {
                 if (square > least_[i] && square > most) most = square, best = i;
             }
             if (best < 0) break;
-            double* row = work + size_t(done) * lanes + best;
-            const double head = row[0], size = sqrt(squares[best]), beta = head >= 0.0 ? -size : size, scale = 1.0 / (head - beta);
-            const double tau = (beta - head) / beta;
-            for (int j = done + 1; j < c; j++) v[j] = work[size_t(j) * lanes + best] * scale;
-            for (int k = 0; k < lanes; k += WIDE) {
-                double* at = work + size_t(done) * lanes + k;
-                Wide sum = wide(at), other = {};
-                for (int j = done + 1; j < c; j++) {
-                    Wide& to = (j - done) % 2 ? other : sum;
-                    to += wide_of(v[j]) * wide(work + size_t(j) * lanes + k);
-                }
-                sum = (sum + other) * wide_of(tau);
-                wide(at) -= sum;
-                // Of the row itself nothing is left, to the last bit: where that is much less than what was, digits count.
-                const bool is_there = best >= k && best < k + WIDE;
-                const Wide kept = is_there ? wide(ALL_BUT_ONE + 8 - (best - k)) : wide_of(1.0);
-                for (int j = done + 1; j < c; j++) {
-                    Wide& to = wide(work + size_t(j) * lanes + k);
-                    to = (to - wide_of(v[j]) * sum) * kept;
-                }
-            }
+            double* column = work + size_t(done) * lanes;
+            const double head = column[best], size = sqrt(squares[best]), beta = head >= 0.0 ? -size : size;
+            const double scale = 1.0 / (head - beta), tau = (beta - head) / beta;
+            const int others = c - done - 1;
+            for (int j = 0; j < others; j++) v[j] = column[size_t(j + 1) * lanes + best] * scale;
+            int k = 0;
+            for (; k + 2 * WIDE <= lanes; k += 2 * WIDE) turn<2>(column + k, lanes, others, v, tau, best - k, squares + k);
+            if (k < lanes) turn<1>(column + k, lanes, others, v, tau, best - k, squares + k);
         }
         return done;
+    }
+
+    // Turns WIDTH registers full of rows by a reflector (1, v) of a column and the `others` that follow it. Of the row `best`
+    // nothing is left in the others, to the last bit: where that is much less than what was, digits count. Notes the squares
+    // of what rows have in the others.
+    template <int WIDTH>
+    static void turn(double* column, int lanes, int others, const double* v, double tau, int best, double* squares) {
+        Wide sum[WIDTH], kept[WIDTH], square[WIDTH];
+        for (int i = 0; i < WIDTH; i++) {
+            sum[i] = wide(column + i * WIDE), square[i] = Wide{};
+            const int place = best - i * WIDE;
+            kept[i] = place >= 0 && place < WIDE ? wide(ALL_BUT_ONE + 8 - place) : wide_of(1.0);
+        }
+        const double* from = column + lanes;
+        for (int j = 0; j < others; j++, from += lanes)
+            for (int i = 0; i < WIDTH; i++) sum[i] += wide_of(v[j]) * wide(from + i * WIDE);
+        for (int i = 0; i < WIDTH; i++) {
+            sum[i] *= wide_of(tau);
+            wide(column + i * WIDE) -= sum[i];
+        }
+        double* to = column + lanes;
+        for (int j = 0; j < others; j++, to += lanes)
+            for (int i = 0; i < WIDTH; i++) {
+                const Wide left = (wide(to + i * WIDE) - wide_of(v[j]) * sum[i]) * kept[i];
+                wide(to + i * WIDE) = left;
+                square[i] += left * left;
+            }
+        for (int i = 0; i < WIDTH; i++) wide(squares + i * WIDE) = square[i];
     }
 
     static constexpr double ALL_BUT_ONE[] = {1, 1, 1, 1, 1, 1, 1, 1, 0, 1, 1, 1, 1, 1, 1, 1, 1};

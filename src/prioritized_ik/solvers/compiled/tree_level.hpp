@@ -207,10 +207,12 @@ class Level : public Frame {
     }
 
     static void reflect_values(const double* v, double factor, double* y, int n) {
-        double sum = 0.0;
-        for (int i = 0; i < n; i++) sum += v[i] * y[i];
-        sum *= factor;
-        for (int i = 0; i < n; i++) y[i] -= sum * v[i];
+        double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
+        int i = 0;
+        for (; i + 4 <= n; i += 4) a += v[i] * y[i], b += v[i + 1] * y[i + 1], c += v[i + 2] * y[i + 2], d += v[i + 3] * y[i + 3];
+        for (; i < n; i++) a += v[i] * y[i];
+        const double sum = factor * ((a + c) + (b + d));
+        for (i = 0; i < n; i++) y[i] -= sum * v[i];
     }
 
     // See `Triangle`: n rows are handed on to a step, `handed`; returns how many are to the one before.
@@ -218,8 +220,8 @@ class Level : public Frame {
         const int e = step.decided, d = step.d, own = step.own_end - step.own, w = padded(e + step.d_before);
         step.rows = n + own;
         most_rows_ = max(most_rows_, step.rows);
-        // Where rows on x are turned from is not where they are turned to.
-        std::vector<double>& memory = handed.at == nullptr || handed.at < work_.data() || handed.at >= work_.data() + work_.size() ? work_ : other_work_;
+        work_.swap(other_work_);  // where rows on x were turned to is not where they are turned to now
+        std::vector<double>& memory = work_;
         const size_t size = size_t(step.rows + d) * w + padded(d) + padded(step.d_before);
         memory.resize(max(memory.size(), size));
         double *rows = memory.data(), *both = rows + size_t(step.rows) * w, *x = both + size_t(d) * w, *unit = x + padded(d);

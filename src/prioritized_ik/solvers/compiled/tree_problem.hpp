@@ -15,6 +15,7 @@ struct TreeRows {
 
 // What the caller owns and fills: `_packed` in compiled/tree_step.py, number by number. The metric is null where it is one.
 struct TreeProblem {
+    double rank_tolerance;
     int64_t joints, levels, question;
     const int64_t* parents;                          // (m)
     const double *angular, *linear, *anchors;        // (m, 3)

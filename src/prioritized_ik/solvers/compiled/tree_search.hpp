@@ -31,6 +31,7 @@ class TreeSearch : public TreeProof {
         read(problem);
         if (!has_clear_rows()) throw Declined{ROUNDING_ROW};
         corrections_ = 0, least_ = -1.0, is_factored_ = false;
+        if (problem.rank_tolerance > 0.0 && !has_clear_ranks(problem.rank_tolerance)) throw Declined{RANK};
         const Question question = Question(problem.question);
         bool is_told = false;  // what the guess leads to
         if (question != CLOSED_FORM_ONLY && guess(problem)) {
@@ -51,6 +52,24 @@ class TreeSearch : public TreeProof {
         }
         if (!in_blocks()) throw Declined{is_told ? UNPROVEN : UNSETTLED};
         return is_held() ? SOLVED : CLOSED_FORM;
+    }
+
+    // See `Search.has_clear_ranks`.
+    bool has_clear_ranks(double tolerance) {
+        nothing();
+        factor_face();
+        int zeros = inputs();
+        for (int level = 1; level <= levels(); level++) {
+            for (int i = ends_[level]; i < ends_[level + 1]; i++)
+                if (roots_[i] == 0.0 && lengths_[i] > 0.0) return false;  // which no factor knows
+            zeros -= ranks_[level];
+            const double most = norm(lengths_.data() + ends_[level], ends_[level + 1] - ends_[level]);
+            if (count_below(level, tolerance * most) == zeros) continue;
+            const double largest = norm_of_matrix(level);
+            if (count_below(level, tolerance * largest * (1.0 - tol_.CUT_MARGIN)) != zeros) return false;
+            if (count_below(level, tolerance * min(most, 1.01 * largest)) != zeros) return false;
+        }
+        return true;
     }
 
     void nothing() {

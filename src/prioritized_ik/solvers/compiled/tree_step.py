@@ -40,7 +40,7 @@ def compiled_tree_step(
     reals, integers, place = places.of_reals, places.of_integers, places.of
     tree = problem.levels[0].points.tree  # type: ignore[attr-defined]
     given = [
-        *(m, levels, question),
+        *(rank_tolerance, m, levels, question),
         *(integers(tree.parents), reals(tree.angular), reals(tree.linear), reals(tree.anchors)),
         *(reals(problem.metric), reals(problem.bounds.lower), reals(problem.bounds.upper), reals(problem.reference)),
         0 if guess is None else place(guess),
@@ -56,7 +56,7 @@ def compiled_tree_step(
         given += places.of_rows(level.points, level.target, level.weights)
     address = taken(core)
     try:
-        told = checked(core.core_tree_step(address, struct.pack(f"{len(given)}q", *given)))
+        told = checked(core.core_tree_step(address, struct.pack(f"d{len(given) - 1}q", *given)))
     finally:
         given_back(core, address)
     status = STATUS.get(told & 0xFF)

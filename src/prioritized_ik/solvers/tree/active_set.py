@@ -55,10 +55,17 @@ class Search:
     Args:
         posed: the problem.
         is_tried: whether a few corrections are known to lead to no optimum from where the search is to start.
+
+    Attributes:
+        posed: see above.
+        has_met_unclear_ranks: whether what a level feels on some face so far is neither clearly zero nor clearly not.
+        flat: a step that was met so far whose proof lacks nothing but digits, see `TreeProof.is_flat`.
     """
 
     def __init__(self, posed: PosedOnTree, *, is_tried: bool = False) -> None:
         self.posed, self._factors, self._is_tried = posed, posed.factors, is_tried
+        self.has_met_unclear_ranks = False
+        self.flat: Found | None = None
         self._frozen = posed.lower == posed.upper
         self._least: float | None = None
         self._corrections = 0
@@ -177,7 +184,9 @@ class Search:
             held = np.zeros(len(self.posed.level), dtype=bool)
             held[self.posed.parts[0]] = active.held
             is_clear = self._factors.factor(active.side != 0, held) is Ending.CLEAR
-            self._factored = active.key, is_clear and (self.posed.zero <= NOISE or self._feels_what_it_decides(held))
+            is_clear = is_clear and (self.posed.zero <= NOISE or self._feels_what_it_decides(held))
+            self.has_met_unclear_ranks |= not is_clear
+            self._factored = active.key, is_clear
         return self._factored[1]
 
     def _feels_what_it_decides(self, held: NDArray[np.bool_]) -> bool:
@@ -193,8 +202,9 @@ class Search:
     def _is_rounding(self, level: int, roots: Array) -> bool:
         """Whether no combination of a level's rows, at unit length, is more than rounding where the level decides nothing.
 
-        What it does decide may make up for what a direction is felt; the power method finds the largest of what is left. Where
-        levels above decide by little, rounding turns what they leave by as much more, and what is felt of that is no more.
+        What it does decide may make up for what a direction is felt; the power method finds the largest of what is left.
+        Where levels above decide by little, rounding turns what they leave by as much more, and what is felt of that is
+        rounding.
 
         Args:
             level: its number.
@@ -228,7 +238,15 @@ class Search:
         if self._worst(u) < -FREE * scale:
             return None, u
         u, proof = self._finely(*self._proven(u, active, scale), active)
-        return (Found(u, proof, active, 0) if proof.holds_with_margin else None), u
+        return self._if_proven(Found(u, proof, active, 0)), u
+
+    def _if_proven(self, found: Found) -> Found | None:
+        """Return a step whose proof holds with margin; keep one that lacks nothing but digits."""
+        if found.proof.holds_with_margin:
+            return found
+        if found.proof.is_flat:
+            self.flat = found
+        return None
 
     def optimum(self, active: ActiveSet) -> Found | None:
         """Return the optimum that the search from `active` comes to.
@@ -238,9 +256,11 @@ class Search:
         self._corrections = FEW if self._is_tried else 0
         found = None if self._is_tried else self._in_blocks(active, FEW)
         for less in LESS[: len(self.posed.parts) - 1]:  # one level has none below it
-            if found is None and (inside := guessed(self.posed, less)) is not None:
+            if found is None and self.flat is None and (inside := guessed(self.posed, less)) is not None:
                 found = self._in_blocks(inside.active, FEW) or self._one_by_one(inside.u, inside.active, MORE)
-        return found or self._in_blocks(active, BLOCKS) or self._from_zero()
+        if found is not None or self.flat is not None:  # no other set has more digits
+            return found
+        return self._in_blocks(active, BLOCKS) or self._from_zero()
 
     def _in_blocks(self, active: ActiveSet, most: int) -> Found | None:
         """Return the optimum that at most so many corrections come to, each of all rows that call for it."""
@@ -261,7 +281,7 @@ class Search:
                 if proof.is_unclear:
                     proof = self._told(u, proof, active)
                 if not proof.is_unclear:
-                    return Found(u, proof, active, self._corrections) if proof.holds_with_margin else None
+                    return self._if_proven(Found(u, proof, active, self._corrections))
             if last.pulls:
                 following = _without_pulling(proof, active)
             elif not broken.count:
@@ -313,7 +333,7 @@ class Search:
             if not proof.levels[-1].pulls:
                 u, proof = self._finely(u, proof, active)
             if not proof.levels[-1].pulls:
-                return Found(u, proof, active, self._corrections) if proof.holds_with_margin else None
+                return self._if_proven(Found(u, proof, active, self._corrections))
             # Back at a set, the row that was dropped there holds a level above by less than rounding shows: then the next.
             turn = dropped.get(active.key, 0)
             dropped[active.key] = turn + 1

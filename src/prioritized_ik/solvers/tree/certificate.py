@@ -263,12 +263,14 @@ class TreeProof:
     @cached_property
     def certificate(self) -> Certificate:
         """The figures."""
-        names = self._row_names
+        names, is_flat = self._row_names, self.is_flat
         return Certificate(
             self.violation / self.scale,
             tuple(level.gap + level.carried for level in self.levels),
             tuple(level.relative_gap for level in self.levels),
-            tuple(level.excess / self.scale for level in self.levels),
+            tuple(
+                0.0 if is_flat and level.excess <= level.rounding else level.excess / self.scale for level in self.levels
+            ),
             tuple(level.rounding / self.scale for level in self.levels),
             tuple(names(level) for level in self.levels),
         )
@@ -299,6 +301,23 @@ class TreeProof:
             max(self.violation, *(level.excess for level in levels)) <= MARGIN * CERTIFIED * scale
             and max((level.relative_gap for level in levels[:-1]), default=0.0) <= MARGIN * GAP
             and variation <= MARGIN * UNDECIDED
+        )
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether limits hold the step, nothing speaks against it, but rounding moves it by more than itself.
+
+        What its levels could still gain is what rounding feigns, and is nothing of what they ask for. Without limits,
+        such a step goes as far as a direction that is felt by rounding takes it, and says nothing.
+        """
+        levels = self.levels
+        if not self._is_held or len(levels) < len(self._posed.parts) or levels[-1].pulls or self.is_unclear:
+            return False
+        return (
+            self.violation <= MARGIN * CERTIFIED * self.scale
+            and all(level.excess <= level.rounding for level in levels if level.excess > CERTIFIED * self.scale)
+            and all(level.relative_gap <= GAP for level in levels[:-1])
+            and max(level.rounding for level in levels) > self.scale
         )
 
     @property

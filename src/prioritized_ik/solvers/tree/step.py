@@ -13,7 +13,7 @@ from prioritized_ik.solvers.compiled.workspace import recent_names
 from prioritized_ik.solvers.report import DeferredReports
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.solvers.tree.active_set import Found, Search
-from prioritized_ik.solvers.tree.certificate import ActiveSet
+from prioritized_ik.solvers.tree.certificate import ActiveSet, TreeProof
 from prioritized_ik.solvers.tree.posed import PosedOnTree, is_on_tree
 from prioritized_ik.tolerances import ACCEPTED_VIOLATION, NEAR_ZERO, TREE_ZERO
 
@@ -40,7 +40,9 @@ def tree_step(
     question: Question = Question.STEP,
     method: str = "",
 ) -> tuple[JointStep, Remembered] | None:
-    """Return the certified step of a problem and the rows that it rests on; None if the dense form is to answer.
+    """Return the step of a problem and the rows that it rests on; None if the dense form is to answer.
+
+    It is certified, or the certificate says that rounding moves it by more than itself.
 
     Args:
         problem: one that `is_on_tree`.
@@ -49,7 +51,7 @@ def tree_step(
         question: the step; only a closed form that breaks no row; or no closed form first.
         method: name of who solves.
     """
-    quick = Ending.RANK if rank_tolerance else compiled_tree_step(problem, rank_tolerance, rows, question, method)
+    quick = compiled_tree_step(problem, rank_tolerance, rows, question, method)
     if isinstance(quick, CompiledStep):
         return quick, quick.written.active
     started = perf_counter()
@@ -57,16 +59,19 @@ def tree_step(
     if not posed.has_clear_rows:
         return None
     names, numbers = recent_names(problem.bounds.names, problem.rows.names)
-    found = None
+    found = flat = None
     for zero in (TREE_ZERO, NEAR_ZERO):
         search = Search(posed, is_tried=quick is Ending.UNSETTLED and zero == TREE_ZERO)
         if not rank_tolerance or search.has_clear_ranks(rank_tolerance):
             found = _found(search, _guess(search, rows, names, numbers), question)
+        flat = flat or search.flat
         if found is not None or zero == NEAR_ZERO:
             break
         posed, ranks = PosedOnTree(problem, NEAR_ZERO), search.ranks
-        if Search(posed).ranks in (None, ranks):  # nothing is near zero
+        if not search.has_met_unclear_ranks and Search(posed).ranks in (None, ranks):  # nothing is near zero
             break
+    if found is None and question is not Question.CLOSED_FORM_ONLY:
+        found = flat  # which matrices would not prove either, with as many digits
     if found is None:
         return None
     step = _step(posed, found, rank_tolerance, method, perf_counter() - started)
@@ -83,7 +88,7 @@ def _found(search: Search, guess: ActiveSet, question: Question) -> Found | None
             return found
     if question is not Question.FROM_GUESS_ONLY:
         free, _ = search.closed_form()
-        if free is not None or question is Question.CLOSED_FORM_ONLY:
+        if free is not None or question is Question.CLOSED_FORM_ONLY or search.flat is not None:
             return free
     return search.optimum(guess if guessed and question is Question.FROM_GUESS_ONLY else nothing)
 
@@ -107,6 +112,12 @@ def _remembered(active: ActiveSet, posed: PosedOnTree, names: tuple[str, ...]) -
     return Remembered(names, np.where(kept, TIGHT, LOOSE).astype(np.uint8).tobytes())
 
 
+def _status(proof: TreeProof) -> StepStatus:
+    if proof.is_flat:
+        return StepStatus.UNCERTIFIED
+    return StepStatus.SOLVED if proof.is_held else StepStatus.CLOSED_FORM
+
+
 def _step(posed: PosedOnTree, found: Found, rank_tolerance: float, method: str, seconds: float) -> JointStep:
     problem, proof, active, u = posed.problem, found.proof, found.active, found.u
     dtheta, lacking = problem.from_metric(u), posed.missing(u)
@@ -125,7 +136,7 @@ def _step(posed: PosedOnTree, found: Found, rank_tolerance: float, method: str, 
     )
     return JointStep(
         dtheta,
-        StepStatus.SOLVED if proof.is_held else StepStatus.CLOSED_FORM,
+        _status(proof),
         costs=tuple(float(missing @ missing) for missing in (lacking[part] for part in posed.parts[1:])),
         tight_rows=tight,
         violation=proof.certificate.violation,
