@@ -115,14 +115,16 @@ def test_the_core_finds_and_proves_what_the_search_does_to_the_same_bits(first, 
     quick = 0
     for seed in range(first, first + 10):
         problem = _random(seed)
-        last = _searched(problem, (), Question.STEP, monkeypatch)
+        last = _searched(problem, 0.0, (), Question.STEP, monkeypatch)
         assert last is not None
-        for question, rows in product((Question.STEP, Question.CLOSED_FORM_ONLY, Question.FROM_GUESS_ONLY), ((), last[1])):
-            found = compiled_tree_step(problem, 0.0, rows, question, "")
+        questions = (Question.STEP, Question.CLOSED_FORM_ONLY, Question.FROM_GUESS_ONLY)
+        for question, rows, tolerance in product(questions, ((), last[1]), (0.0, 1e-6, 1e-2)):
+            found = compiled_tree_step(problem, tolerance, rows, question, "")
             if isinstance(found, Ending):
+                assert found is not Ending.RANK or _searched(problem, tolerance, rows, question, monkeypatch) is None
                 continue
             quick += 1
-            searched = _searched(problem, rows, question, monkeypatch)
+            searched = _searched(problem, tolerance, rows, question, monkeypatch)
             assert searched is not None
             step, active = searched
             np.testing.assert_array_equal(found.dtheta, step.dtheta)
@@ -133,14 +135,14 @@ def test_the_core_finds_and_proves_what_the_search_does_to_the_same_bits(first, 
             for name in ("gaps", "relative_gaps", "stationarity", "rounding"):
                 one, other = getattr(found.certificate, name), getattr(step.certificate, name)
                 np.testing.assert_allclose(one, other, rtol=0.3, atol=1e-13, err_msg=f"{seed} {name}")
-    assert quick >= 30  # of sixty: from nothing, most take an interior point
+    assert quick >= 50  # of 180: from nothing, many take an interior point, and the larger tolerance cuts most
 
 
-def _searched(problem, rows, question, monkeypatch):
+def _searched(problem, tolerance, rows, question, monkeypatch):
     """Return what the search in Python finds, by the factors of the core."""
     with monkeypatch.context() as patched:
         patched.setattr(tree, "compiled_tree_step", lambda *_: Ending.UNPROVEN)
-        return tree_step(problem, 0.0, rows, question)
+        return tree_step(problem, tolerance, rows, question)
 
 
 def _declined() -> dict[str, IKProblem]:
@@ -272,7 +274,7 @@ def test_ranks_that_single_rows_overstate_are_looked_at_anew(seed):
     np.testing.assert_allclose(step.dtheta, dense.dtheta, atol=SAME * np.linalg.norm(dense.dtheta))
 
 
-@pytest.mark.parametrize("seed", [760023, 760041, 760241, 760369])
+@pytest.mark.parametrize("seed", [760095, 760161, 760233, 760265])
 def test_what_rounding_of_weak_levels_above_leaves_is_felt_by_no_level(seed):
     # The first level decides a direction so weakly that what it leaves is known to eight digits; matrices are less exact.
     problem = _kinked(seed)

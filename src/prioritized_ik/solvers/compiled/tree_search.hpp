@@ -1,8 +1,8 @@
 // From a guess of the active bounds and rows, or none, to the lexicographic optimum on a kinematic tree in a few corrections:
 // `Search.closed_form` and `_in_blocks` of solvers/tree/active_set.py, which says what and why; names are the same.
 //
-// What is not clear in doubles is declined, `UNPROVEN` as a rule, and what takes more corrections than that is `UNSETTLED`: the
-// Python form answers then.
+// What is not clear in doubles is declined, `UNPROVEN` as a rule, `RANK` where a rank tolerance cuts more than zeros, and what
+// takes more corrections than that is `UNSETTLED`: the Python form answers then.
 #pragma once
 
 #include "tree_proof.hpp"
@@ -57,7 +57,7 @@ class TreeSearch : public TreeProof {
     // See `Search.has_clear_ranks`.
     bool has_clear_ranks(double tolerance) {
         nothing();
-        factor_face();
+        if (!factor_face()) return false;
         int zeros = inputs();
         for (int level = 1; level <= levels(); level++) {
             for (int i = ends_[level]; i < ends_[level + 1]; i++)
@@ -99,7 +99,7 @@ class TreeSearch : public TreeProof {
 
     // u_ := the step where the active bounds and rows hold as equalities.
     void face() {
-        factor_face();
+        if (!factor_face()) throw Declined{UNPROVEN};
         u_.resize(m_), values_.resize(m_), kept_sides_ = sides_;
         for (int j = 0; j < m_; j++) values_[j] = side_[j] > 0 ? upper_[j] : side_[j] < 0 ? lower_[j] : 0.0;
         for (int i = 0; i < c_; i++)
@@ -114,18 +114,15 @@ class TreeSearch : public TreeProof {
         scale_ = scale(size);
     }
 
-    void factor_face() {
-        if (is_factored_ && side_ == factored_side_ && held_ == factored_held_) return;
+    // Whether ranks of the face are clear.
+    bool factor_face() {
+        if (is_factored_ && side_ == factored_side_ && held_ == factored_held_) return true;
         for (int j = 0; j < m_; j++) fixed_[j] = side_[j] != 0;
-        copy_n_counts();
-        is_factored_ = false;
-        if (factor() != CLEAR) throw Declined{RANK};
-        is_factored_ = true, factored_side_ = side_, factored_held_ = held_;
-    }
-
-    void copy_n_counts() {
         std::copy(held_.begin(), held_.end(), counts_.begin());
         std::fill(counts_.begin() + c_, counts_.end(), 1);
+        is_factored_ = factor() == CLEAR;
+        factored_side_ = side_, factored_held_ = held_;
+        return is_factored_;
     }
 
     // See `Search._scale`.

@@ -62,7 +62,8 @@ def tree_step(
     found = flat = None
     for zero in (TREE_ZERO, NEAR_ZERO):
         search = Search(posed, is_tried=quick is Ending.UNSETTLED and zero == TREE_ZERO)
-        if not rank_tolerance or search.has_clear_ranks(rank_tolerance):
+        is_cut = quick is Ending.RANK and zero == TREE_ZERO
+        if not rank_tolerance or (not is_cut and search.has_clear_ranks(rank_tolerance)):
             found = _found(search, _guess(search, rows, names, numbers), question)
         flat = flat or search.flat
         if found is not None or zero == NEAR_ZERO:
