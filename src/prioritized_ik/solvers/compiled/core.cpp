@@ -29,12 +29,17 @@ EXPORTED const char* core_tolerances() {
 #undef FIELD
 }
 
-// The highest of x86-64's levels, 1, 3 or 4, that this processor and its system run; 0 for another processor. Asked of the
-// processor itself: not every compiler's runtime answers __builtin_cpu_supports from a shared library.
+// The highest of x86-64's levels, 1, 3 or 4, that this processor and its system run well; 0 for another processor. Asked of
+// the processor itself: not every compiler's runtime answers __builtin_cpu_supports from a shared library.
 EXPORTED int core_x86_level() {
 #if defined(__x86_64__)
     unsigned a, b, c, d, low, high;
+    if (!__get_cpuid(0, &a, &b, &c, &d)) return 1;
+    constexpr unsigned AMD = 0x444d4163, ZEN_4 = 0x19;  // end of the vendor's name, family
+    const bool is_amd = c == AMD;
     if (!__get_cpuid(1, &a, &b, &c, &d)) return 1;
+    const unsigned family = (a >> 8 & 0xf) + (a >> 20 & 0xff);
+    const bool halves = is_amd && family <= ZEN_4;  // registers of eight doubles, in two goes: slower than those of four
     const bool fma = c >> 12 & 1, saves = c >> 27 & 1, avx = c >> 28 & 1;
     if (!fma || !saves || !avx || !__get_cpuid_count(7, 0, &a, &b, &c, &d)) return 1;
     const bool bmi = b >> 3 & 1, avx2 = b >> 5 & 1, bmi2 = b >> 8 & 1;
@@ -42,7 +47,7 @@ EXPORTED int core_x86_level() {
     __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
     if (!bmi || !avx2 || !bmi2 || (low & REGISTERS) != REGISTERS) return 1;
     constexpr unsigned AVX512 = 1u << 16 | 1u << 17 | 1u << 28 | 1u << 30 | 1u << 31;  // F, DQ, CD, BW, VL
-    return (b & AVX512) == AVX512 && (low & WIDE_REGISTERS) == WIDE_REGISTERS ? 4 : 3;
+    return !halves && (b & AVX512) == AVX512 && (low & WIDE_REGISTERS) == WIDE_REGISTERS ? 4 : 3;
 #else
     return 0;
 #endif

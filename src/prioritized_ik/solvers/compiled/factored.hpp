@@ -98,11 +98,23 @@ class Factored : public Posed {
         return 1.0 / sqrt(sum);
     }
 
-    double lower_bound(const Triangle& R) {
+    // The same of a triangle with this inverse where x is taken off its coordinates: what it still reaches is orthogonal to
+    // R^-T x, and without that R^-1 is the pseudoinverse. Changes the inverse.
+    double lower_bound_without(const double* x, const Triangle& R, double* inverse) {
         Scope scope(arena_);
-        double* inverse = arena_.doubles(size_t(R.size) * R.stride);
-        R.invert(inverse);
-        return 1.0 / norm(inverse, R.size * R.stride);
+        const int r = R.size, s = R.stride;
+        double *unreached = arena_.doubles(r), *taken = arena_.zeros(s), sum = 0.0;
+        copy(x, unreached, r);
+        R.solve_transposed(unreached);
+        const double scale = 1.0 / norm(unreached, r);
+        for (int j = 0; j < r; j++) unreached[j] *= scale;
+        add_rows(unreached, inverse, s, r, taken, s);
+        for (int j = 0; j < r; j++) {
+            double* column = inverse + size_t(j) * s;
+            add(-unreached[j], taken, column, r);
+            sum += dot(column, column, r);
+        }
+        return 1.0 / sqrt(sum);
     }
 
     void factor_level(Block& block, double** row, int all, double settled) {
@@ -131,15 +143,12 @@ class Factored : public Posed {
         const int c = block.start, n = block.n;
         const bool rounding = block.rank_tolerance == 0.0;
         const double limit = rounding ? max(noise_, settled) : max(block.rank_tolerance, noise_);
-        bool triangle = true;
+        const auto is_clear = [&](double bound) {  // the smallest singular value is at least so much
+            block.weakest = rounding ? bound : bound / frobenius;
+            return block.weakest > (rounding ? tol_.WEAKEST : limit);
+        };
+        if (r && is_clear(lower_bound(row, r, c))) return r;
         while (r > 0) {
-            if (triangle) {
-                const double bound = lower_bound(row, r, c), least = rounding ? bound : bound / frobenius;
-                if (least > (rounding ? tol_.WEAKEST : limit)) {
-                    block.weakest = least;
-                    return r;
-                }
-            }
             Scope scope(arena_);
             const int s = padded(n);
             double *columns = arena_.zeros(size_t(r) * s), *x = arena_.doubles(padded(r)), *y = arena_.doubles(padded(r));
@@ -148,11 +157,9 @@ class Factored : public Posed {
                 for (int j = 0; j < r; j++) columns[size_t(j) * s + i] = row[i][c + j];
             column_qr(columns, s, r, r, n, order, false, arena_);
             const Triangle R{columns, s, r};
-            const double bound = lower_bound(R), assured = rounding ? bound : bound / frobenius;
-            if (assured > (rounding ? tol_.WEAKEST : limit)) {
-                block.weakest = assured;
-                return r;
-            }
+            double* inverse = arena_.doubles(size_t(r) * s);
+            R.invert(inverse);
+            if (is_clear(1.0 / norm(inverse, r * s))) return r;
             const double least = smallest_singular(R, rounding ? tol_.MARGIN * noise_ : limit * top, x, arena_);
             if (least < 0.0) throw Declined{RANK};
             double relative = least;
@@ -187,8 +194,7 @@ class Factored : public Posed {
             const int from = aligned_start(c);
             reflect_all(row, all, from, v + from, tau, stride - from);
             chain_.keep(tau);
-            r--;
-            triangle = false;
+            if (--r && is_clear(lower_bound_without(x, R, inverse))) return r;
         }
         block.weakest = 1.0;
         return 0;
