@@ -68,11 +68,18 @@ class Scene(ctypes.Structure):
                 *("qpos", "xpos", "xmat", "geom_xpos", "geom_xmat", "cdof", "subtree_com"),
                 *("q", "was_in_contact"),
                 *("end_points", "directions", "distance", "normal", "point", "contact_vectors", "desired", "signs"),
-                *("in_contact", "first_and_last"),
-                *("jacobian", "row_matrix", "row_upper", "lower", "upper", "axes", "near"),
+                *("in_contact", "ends", "near", "axes"),
             )
         ]
     )
+
+
+class Numbers(ctypes.Structure):
+    """Where the core writes a problem: `Numbers` in winding.hpp, field by field."""
+
+    _fields_ = [
+        (name, ctypes.c_void_p) for name in ("matrix", "target", "lower", "upper", "row_matrix", "row_upper", "places")
+    ]
 
 
 class Parts(NamedTuple):
@@ -100,15 +107,13 @@ class CompiledLook:
         settings, data, arms, sensor, links, margin, poses = parts
         model = sensor.model
         n, m = arms.count, model.nv
-        rows = n if poses else 0  # of matrices
         self._core_observe, self._core_pose = core.core_scene_observe, core.core_scene_pose
         joints, dofs, places = limited_scalars(model)
         low, high = model.jnt_range[joints].T.copy()
         self._q, self._was = np.zeros(model.nq), np.zeros(n, dtype=bool)
         self._written = np.zeros(n * (3 * len(_VECTORS) + len(_NUMBERS)))
-        self._touching, self._ends = np.zeros(n, dtype=bool), np.zeros(2, dtype=np.int32)
-        self._jacobian, self._bounds = np.zeros((3 * rows, m)), np.zeros((2, m))
-        self._rows, self._sides, self._near = np.zeros((rows, m)), np.zeros(n), np.zeros(n, dtype=np.int32)
+        self._touching, self._ends = np.zeros(n, dtype=bool), np.zeros(3, dtype=np.int32)
+        self._near = np.zeros(n, dtype=np.int32)
         self._joint_names = joint_names(model)
         self._wound = sensor.object_name
         none = np.zeros(0, dtype=np.uint8)
@@ -131,17 +136,11 @@ class CompiledLook:
             "q": self._q,
             "was_in_contact": self._was,
             "in_contact": self._touching,
-            "first_and_last": self._ends,
-            "jacobian": self._jacobian,
-            "row_matrix": self._rows,
-            "row_upper": self._sides,
-            "lower": self._bounds[0],
-            "upper": self._bounds[1],
-            "axes": np.zeros((6, m)),
+            "ends": self._ends,
             "near": self._near,
+            "axes": np.zeros((6, m)),
         }
         kept |= {_SEEN.get(name, name): part for name, part in parts_of(self._written, n).items()}
-        self._desired = kept["desired"].reshape(-1)
         for name in ("qpos", "xpos", "xmat", "geom_xpos", "geom_xmat", "cdof", "subtree_com"):
             kept[name] = getattr(data, name)
         self._kept = model, data, kept  # whose memory the scene points to
@@ -180,64 +179,64 @@ class CompiledLook:
         self._was[:] = was_in_contact
         if self._core_observe(self._at):
             return None
-        first, last = self._ends.tolist()
+        first, last, count = self._ends.tolist()
         touching = self._touching.copy()
         touching.setflags(write=False)
-        return {"in_contact": touching, "first": first, "last": last, "written": self._written.copy()}
+        near = self._near[:count].tobytes()
+        return {"in_contact": touching, "first": first, "last": last, "near": near, "written": self._written.copy()}
 
-    def pose(self, q: Array) -> bytes | None:
-        """Write J `(3 n, m)`, dX_v* `(3 n,)`, bounds and contact rows where the arm was observed last.
-
-        Returns which links have such rows, as a key; None as for `observe`.
-        """
+    def pose(self, q: Array, to: Any) -> bool:
+        """Write the problem at `q` where the arm was observed last to `Numbers`; False as None for `observe`."""
         self._q[:] = q
-        count = self._core_pose(self._at)
-        return None if count < 0 else self._near[:count].tobytes()
+        return not self._core_pose(self._at, to)
 
-    def posed(self, near: bytes) -> tuple[Array, Array, Bounds, Rows]:
-        """Return what was posed last, where the links `near` have rows."""
-        links = np.frombuffer(near, dtype=np.int32)
-        names = tuple(contact_row_name(link + 1, self._wound) for link in links.tolist())
-        lower, upper = self._bounds.copy()
+    def posed(self, q: Array, near: bytes) -> tuple[Array, Array, Bounds, Rows] | None:
+        """Return J `(3 n, m)`, dX_v* `(3 n,)`, bounds and the contact rows of the links `near`, as `pose` writes them."""
+        links = np.frombuffer(near, dtype=np.int32).tolist()
+        n, m = len(self._touching), len(self._joint_names)
+        matrix, target, bounds = np.zeros((3 * n, m)), np.zeros(3 * n), np.zeros((2, m))
+        rows, sides = np.zeros((len(links), m)), np.zeros(len(links))
+        if not self.pose(q, numbers_at(matrix, target, *bounds, rows, sides, np.arange(0, 3 * n, 3, dtype=np.int32))):
+            return None
+        names = tuple(contact_row_name(link + 1, self._wound) for link in links)
         return (
-            self._jacobian.copy(),
-            self._desired.copy(),
-            trusted(Bounds, lower=lower, upper=upper, names=self._joint_names),
-            trusted(Rows, matrix=self._rows[: len(links)].copy(), upper=self._sides[: len(links)].copy(), names=names),
+            matrix,
+            target,
+            trusted(Bounds, lower=bounds[0], upper=bounds[1], names=self._joint_names),
+            trusted(Rows, matrix=rows, upper=sides, names=names),
         )
 
-    def packed(self, problem: IKProblem, rows: Sequence[slice]) -> "PackedPose":
-        """Return what packs problems like one that was posed, whose levels are these `rows` of all."""
-        return PackedPose(problem, self._jacobian, self._desired, self._bounds, self._rows, self._sides, rows)
+
+def numbers_at(*arrays: NDArray[Any] | None) -> Any:
+    """Return what tells the core where to write: arrays in the order of `Numbers`, which must live as long."""
+    return ctypes.byref(Numbers(*(None if array is None else array.ctypes.data for array in arrays)))
 
 
 class PackedPose:
-    """Problems with the same levels and contact rows, packed from the arrays that the core poses them in."""
+    """Problems with the same levels and contact rows, which the core writes where they are packed.
 
-    def __init__(
-        self,
-        pattern: IKProblem,
-        jacobian: Array,
-        desired: Array,
-        bounds: Array,
-        row_matrix: Array,
-        row_upper: Array,
-        levels: Sequence[slice],
-    ) -> None:
-        self._layout = Layout(pattern)
+    Args:
+        look: what poses.
+        pattern: one of them.
+        levels: the rows of each level among those of all arms.
+        arms: how many these are.
+    """
+
+    def __init__(self, look: CompiledLook, pattern: IKProblem, levels: Sequence[slice], arms: int) -> None:
+        self._look, self._layout = look, Layout(pattern)
         self._numbers = self._layout.packed()
-        parts, count = self._layout.parts(self._numbers), len(pattern.rows.upper)
-        self._pairs = [(parts.row_matrix, row_matrix[:count]), (parts.row_upper, row_upper[:count])]
-        for place, rows in zip(self._layout.levels, levels, strict=True):
-            self._pairs += [(parts.matrix[place], jacobian[rows]), (parts.target[place], desired[rows])]
-        if np.isfinite(parts.upper).all():  # they are kept, and always bind a step
-            self._pairs += [(parts.lower, bounds[0]), (parts.upper, bounds[1])]
+        parts, self._places = self._layout.parts(self._numbers), np.full(3 * arms, -1, dtype=np.int32)
+        for place, run in zip(self._layout.levels, levels, strict=True):
+            self._places[run] = np.arange(place.start, place.stop)
+        self._places = self._places[::3].copy()
+        keeps_limits, keeps_contacts = np.isfinite(parts.upper).all(), len(parts.row_upper) > 0  # limits bind every step
+        bounds = (parts.lower, parts.upper) if keeps_limits else (None, None)
+        rows = (parts.row_matrix, parts.row_upper) if keeps_contacts else (None, None)
+        self._to = numbers_at(parts.matrix, parts.target, *bounds, *rows, self._places)
 
-    def problem(self) -> PackedProblem:
-        """Return the problem that was posed last."""
-        for place, posed in self._pairs:
-            place[...] = posed
-        return PackedProblem(self._layout, self._numbers.copy())
+    def problem(self, q: Array) -> PackedProblem | None:
+        """Return the problem at `q`, where the arm was observed last; None as for `CompiledLook.observe`."""
+        return PackedProblem(self._layout, self._numbers.copy()) if self._look.pose(q, self._to) else None
 
 
 def _box_around(model: mujoco.MjModel, geom: int) -> Array:

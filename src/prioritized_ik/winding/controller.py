@@ -68,7 +68,8 @@ class SeenByCore(Situation):
     """A situation as the compiled core wrote it; its arrays are made when looked at.
 
     Attributes:
-        written: all of them, one after the other, see `compiled.parts_of`.
+        near: the links with contact rows, as a key.
+        written: all arrays, one after the other, see `compiled.parts_of`.
     """
 
     positions: Any = Late()
@@ -77,6 +78,7 @@ class SeenByCore(Situation):
     contact_vectors: Any = Late()
     desired: Any = Late()
     signs: Any = Late()
+    near: bytes
     written: Array
 
     def late_fields(self) -> dict[str, Any]:
@@ -118,7 +120,7 @@ class ChainController:
         parts = Parts(settings, self.data, self.arms, self.sensor, chain.bodies, CONTACT_MARGIN, not along_links)
         self._compiled = compiled_look(parts) if chain.lies_along_x else None
         self._is_checked = False
-        self._seen: Situation | None = None  # what the core saw last
+        self._seen: SeenByCore | None = None  # what the core saw last
 
     @property
     def path(self) -> str:
@@ -178,18 +180,24 @@ class ChainController:
         """Return the problem of the step from `q`, where `situation` was observed last."""
         if self._on_tree is not None:
             return self._problem_on_tree(self._on_tree, q, situation)
-        look = self._compiled
-        if look is None or situation is not self._seen or (near := look.pose(q)) is None:
-            return self._assembled(*self._posed(q, situation), situation.last)
-        key = near, situation.last
-        if key not in self._packed:
+        if situation is self._seen and (problem := self._packed_problem(q, self._seen)) is not None:
+            return problem
+        return self._assembled(*self._posed(q, situation), situation.last)
+
+    def _packed_problem(self, q: Array, seen: "SeenByCore") -> IKProblem | None:
+        """Return the problem that the core poses, None where the Python form is to say what is wrong with the positions."""
+        kind = seen.near, seen.last
+        pose = self._packed.get(kind)
+        if pose is None:
+            assert self._compiled is not None
+            posed = self._compiled.posed(q, seen.near)
+            if posed is None:
+                return None
             if len(self._packed) >= KEPT:
                 del self._packed[next(iter(self._packed))]
-            groups = self._groups_after(situation.last)
-            self._packed[key] = look.packed(
-                self._assembled(*look.posed(near), situation.last), [group.rows for group in groups]
-            )
-        return self._packed[key].problem()
+            rows, pattern = [group.rows for group in self._groups_after(seen.last)], self._assembled(*posed, seen.last)
+            pose = self._packed[kind] = PackedPose(self._compiled, pattern, rows, self.arms.count)
+        return pose.problem(q)
 
     def _assembled(self, jacobian: Array, desired: Array, bounds: Bounds | None, rows: Rows | None, last: int) -> IKProblem:
         """Return the problem of what was posed, where `last` is the last link in contact."""

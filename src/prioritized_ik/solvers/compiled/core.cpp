@@ -104,9 +104,11 @@ EXPORTED int core_solve(Step* step, int question) {
 
 EXPORTED int core_scene_size() { return int(sizeof(prioritized_ik::Scene)); }
 
-// `Look::Answer`, or the number of contact rows.
+// A `Look::Answer` each.
 EXPORTED int core_scene_observe(const prioritized_ik::Scene* scene) { return prioritized_ik::Look(*scene).observe(); }
-EXPORTED int core_scene_pose(const prioritized_ik::Scene* scene) { return prioritized_ik::Look(*scene).pose(); }
+EXPORTED int core_scene_pose(const prioritized_ik::Scene* scene, const prioritized_ik::Numbers* to) {
+    return prioritized_ik::Look(*scene).pose(*to);
+}
 
 EXPORTED int core_posing_size() { return int(sizeof(prioritized_ik::Posing)); }
 EXPORTED int core_posed_rows_size() { return int(sizeof(prioritized_ik::PosedRows)); }

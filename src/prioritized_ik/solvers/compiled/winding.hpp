@@ -32,10 +32,14 @@ struct Scene {
     // what is seen
     double *end_points, *directions, *distance, *normal, *point, *contact_vectors, *desired, *signs;
     uint8_t* in_contact;
-    int32_t* first_and_last;
-    // what is posed
-    double *jacobian, *row_matrix, *row_upper, *lower, *upper, *axes;
-    int32_t* near;
+    int32_t *ends, *near;  // ends: the first and the last link in contact, and how many are near enough for a row: these
+    double* axes;  // room
+};
+
+// Where the numbers of a problem go; null for what it does not have. `places` has the first row of J of each arm, -1 for none.
+struct Numbers {
+    double *matrix, *target, *lower, *upper, *row_matrix, *row_upper;
+    const int32_t* places;
 };
 
 class Look {
@@ -59,25 +63,25 @@ class Look {
             for (int k = 0; k < 3; k++) s.end_points[3 * i + k] = place[k] + dot3(turn + 3 * k, s.offsets + 3 * i);
         }
         for (int i = 0; i < n; i++) plan(i);
-        find_first_and_last();
+        find_ends();
         return DONE;
     }
 
-    // Jacobian, contact rows and bounds at the state that was observed, as WindingController.problem; the number of rows.
-    int pose() const {
-        if (!bound()) return REFUSED;
+    // Jacobian, contact rows and bounds at the state that was observed, as WindingController.problem.
+    int pose(const Numbers& to) const {
+        if (to.lower && !bound(to.lower, to.upper)) return REFUSED;
         for (int j = 0; j < m; j++)
             for (int k = 0; k < 6; k++) s.axes[k * m + j] = s.cdof[6 * j + k];
-        for (int i = 0; i < n; i++) stack(i);
-        int count = 0;
-        for (int i = 0; i < n; i++)
-            if (s.distance[i] < s.margin) {
-                double* row = s.row_matrix + size_t(count) * m;
-                approach(i, row);
-                s.row_upper[count] = s.gain * max(s.distance[i] - s.min_distance, 0.0);
-                s.near[count++] = i;
-            }
-        return count;
+        for (int i = 0; i < n; i++) {
+            if (to.places[i] < 0) continue;
+            stack(i, to.matrix + size_t(to.places[i]) * m);
+            copy(s.desired + 3 * i, to.target + to.places[i], 3);
+        }
+        for (int k = 0; to.row_matrix && k < s.ends[2]; k++) {
+            approach(s.near[k], to.row_matrix + size_t(k) * m);
+            to.row_upper[k] = s.gain * max(s.distance[s.near[k]] - s.min_distance, 0.0);
+        }
+        return DONE;
     }
 
   private:
@@ -138,32 +142,35 @@ class Look {
         for (int k = 0; k < 3; k++) desired[k] = s.stride * (s.signs[i] * normal[k] + towards[k]);
     }
 
-    void find_first_and_last() const {
-        int first = 0;
+    void find_ends() const {
+        int first = 0, count = 0;
         while (first < n && !s.in_contact[first]) first++;
         int last = first;
         while (last < n && s.in_contact[last]) last++;
-        s.first_and_last[0] = first < n ? first + 1 : 0;
-        s.first_and_last[1] = first < n ? last : 0;
+        for (int i = 0; i < n; i++)
+            if (s.distance[i] < s.margin) s.near[count++] = i;
+        s.ends[0] = first < n ? first + 1 : 0;
+        s.ends[1] = first < n ? last : 0;
+        s.ends[2] = count;
     }
 
-    bool bound() const {
-        std::fill_n(s.lower, m, -s.max_step);
-        std::fill_n(s.upper, m, s.max_step);
+    bool bound(double* lower, double* upper) const {
+        std::fill_n(lower, m, -s.max_step);
+        std::fill_n(upper, m, s.max_step);
         for (int r = 0; r < s.ranges; r++) {
             const int dof = s.range_dofs[r];
             const double here = s.q[s.range_places[r]], down = s.range_low[r] - here, up = s.range_high[r] - here;
             if (down > s.outside || up < -s.outside) return false;
-            s.lower[dof] = max(min(down, 0.0), -s.max_step);
-            s.upper[dof] = min(max(up, 0.0), s.max_step);
+            lower[dof] = max(min(down, 0.0), -s.max_step);
+            upper[dof] = min(max(up, 0.0), s.max_step);
         }
         return true;
     }
 
     // Rows of J of one end point, v + ω x r, as PointJacobians.at.
-    void stack(int i) const {
+    void stack(int i, double* x) const {
         const double* com = s.subtree_com + 3 * s.end_roots[i];
-        double r[3], *x = s.jacobian + size_t(3 * i) * m, *y = x + m, *z = y + m;
+        double r[3], *y = x + m, *z = y + m;
         for (int k = 0; k < 3; k++) r[k] = s.end_points[3 * i + k] - com[k];
         const double *wx = s.axes, *wy = wx + m, *wz = wy + m, *vx = wz + m, *vy = vx + m, *vz = vy + m;
         const uint8_t* moves = s.end_moves + size_t(i) * m;
