@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <cstring>
 #include <limits>
+#include <memory>
 #include <utility>
 #include <vector>
 
@@ -124,12 +125,12 @@ class Arena {
   public:
     struct Exhausted {};
 
-    explicit Arena(size_t size) : memory_(size + LINE) {}
+    explicit Arena(size_t size) { take(size + LINE); }
 
     double* doubles(size_t n) {
         n = (n + 7) & ~size_t(7);
-        if (used_ + n + LINE > memory_.size()) throw Exhausted{};
-        double* at = memory_.data() + offset() + used_;
+        if (used_ + n + LINE > size_) throw Exhausted{};
+        double* at = memory_.get() + offset() + used_;
         used_ += n;
         return at;
     }
@@ -142,19 +143,23 @@ class Arena {
         static_assert(sizeof(T) <= sizeof(double), "of at most eight bytes");
         return reinterpret_cast<T*>(doubles(n + 1));
     }
-    void enlarge() {
-        memory_.assign(2 * memory_.size(), 0.0);
-        used_ = 0;
-    }
+    void enlarge() { take(2 * size_); }
     size_t used() const { return used_; }
     void back_to(size_t used) { used_ = used; }
 
   private:
     static constexpr size_t LINE = 8;  // doubles of one line of the cache, at whose start all pieces begin
-    size_t offset() const { return (LINE - reinterpret_cast<size_t>(memory_.data()) / sizeof(double) % LINE) % LINE; }
+    size_t offset() const { return (LINE - reinterpret_cast<size_t>(memory_.get()) / sizeof(double) % LINE) % LINE; }
 
-    std::vector<double> memory_;
-    size_t used_ = 0;
+    void take(size_t size) {
+        memory_.reset();
+        memory_.reset(new double[size]);  // not written to: pages that no solve needs are never touched
+        size_ = size;
+        used_ = 0;
+    }
+
+    std::unique_ptr<double[]> memory_;
+    size_t size_ = 0, used_ = 0;
 };
 
 struct Scope {
