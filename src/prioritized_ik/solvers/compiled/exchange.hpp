@@ -57,7 +57,8 @@ struct Exchange {
     // in
     std::vector<double> matrix, target, weights, damping;  // of the levels, one after the other
     std::vector<double> lower, upper, row_matrix, row_upper, equality_matrix, equality_target, metric_root, reference;
-    std::vector<double> settings;  // rank tolerance, noise, whether rows were rounded by the root of a metric
+    // Rank tolerance, noise, whether rows were rounded by the root of a metric, whether the guess is of a problem of another kind.
+    std::vector<double> settings;
     std::vector<int32_t> ends;     // of the levels' rows
     std::vector<uint8_t> soft;     // whether a level is one of soft inequalities
     std::vector<uint8_t> guess;    // upper bounds, lower bounds, rows, rows of soft levels: a `Guess` each
@@ -83,7 +84,7 @@ struct Exchange {
         row_upper.resize(most.rows);
         equality_matrix.resize(most.equalities * stride);
         equality_target.resize(most.equalities);
-        settings.resize(3);
+        settings.resize(4);
         ends.resize(levels);
         soft.resize(levels);
         guess.resize(all);

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.late import Late
-from prioritized_ik.packed import PackedProblem
+from prioritized_ik.packed import Layout, PackedProblem
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.certificate import Certificate
 from prioritized_ik.solvers.compiled.library import Ending, Question, library
@@ -50,10 +50,11 @@ def is_sound(problem: PackedProblem) -> bool:
 
 
 class Remembered(NamedTuple):
-    """Which rows a step was computed from: of each of `names`, a byte that says so."""
+    """Which rows a step was computed from: of each of `names`, a byte that says so; and the `layout` if it was packed."""
 
     names: tuple[str, ...]
     kept: bytes
+    layout: Layout | None = None
 
     def named(self) -> tuple[str, ...]:
         """Return the names of the rows."""
@@ -139,7 +140,7 @@ def compiled_step(
     if not is_flat:
         dtheta = problem.from_metric(dtheta)
     figures = workspace.written.copy()
-    active = Remembered(workspace.names, workspace.kept_rows())
+    active = Remembered(workspace.names, workspace.kept_rows(), workspace.layout)
     step = object.__new__(CompiledStep)
     step.__dict__.update(
         dtheta=dtheta,
@@ -173,7 +174,8 @@ def _packed(problem: PackedProblem, rank_tolerance: float) -> tuple[Workspace, S
 
 def _guess(rows: Collection[str] | Remembered, workspace: Workspace) -> None:
     """Write which rows the step may rest on, those that the problem does not have left out."""
-    workspace.guess_rows(guessed(rows, workspace.names, workspace.numbers))
+    of_another = isinstance(rows, Remembered) and rows.layout is not workspace.layout
+    workspace.guess_rows(guessed(rows, workspace.names, workspace.numbers), of_another=of_another)
 
 
 def guessed(rows: Collection[str] | Remembered, names: tuple[str, ...], numbers: dict[str, int]) -> bytes | bytearray:

@@ -30,8 +30,10 @@ class Step : public ActiveSet {
     }
 
   private:
-    // With a guess: how many sets it may take, and the part of those that its rows take from nothing.
+    // With a guess: how many sets it may take, and the part of those that its rows take from nothing, if they are of a problem
+    // of the same kind: those of a winding's last step say little once another link is in contact.
     static constexpr int LEAST = 2, PATIENCE = 2;
+    int patience() const { return LEAST + (io.settings[3] ? 0 : guessed_ / PATIENCE); }
 
     int answer(Question question) {
         arena_.back_to(0);
@@ -84,7 +86,7 @@ class Step : public ActiveSet {
         if (guessed) {
             if (!is_begun) start_from_guess();
             if (exceeds()) refactor();
-            if (search(LEAST + guessed_ / PATIENCE)) return SOLVED;
+            if (search(patience())) return SOLVED;
             std::memset(exceeded_, 0, all_);
             if (soft_) refactor();
         }

@@ -90,7 +90,7 @@ class Workspace:
         self.row_matrix, self.row_upper = _reals(next(at), r, stride)[:, :m], _reals(next(at), r)
         self.equality_matrix, self.equality_target = _reals(next(at), e, stride)[:, :m], _reals(next(at), e)
         self.metric_root, self.reference = _reals(next(at), m), _reals(next(at), m)
-        self.settings = _reals(next(at), 3)
+        self.settings = _reals(next(at), 4)
         self.ends = _integers(next(at), levels)
         self.soft, self._guess = _flags(next(at), levels), _flags(next(at), every).data
         self.dtheta = _reals(next(at), m)
@@ -136,9 +136,10 @@ class Workspace:
         self.settings[1] = problem.noise
         self.settings[2] = rounded
 
-    def is_of(self, layout: Layout) -> bool:
-        """Whether the pattern of problems of a layout is filled in."""
-        return layout is self._layout
+    @property
+    def layout(self) -> Layout | None:
+        """That of the problem that is filled in, if it is packed."""
+        return self._layout
 
     def take(self, layout: Layout, sizes: Sizes) -> None:
         """Fill in the pattern of problems of a layout, unless it is there."""
@@ -154,9 +155,10 @@ class Workspace:
         self._tell(sizes)
         return bool(self._read(self._address, LARGEST))
 
-    def guess_rows(self, guess: bytes | bytearray) -> None:
-        """Write which rows a step may rest on, a byte for each of `names`."""
+    def guess_rows(self, guess: bytes | bytearray, *, of_another: bool = False) -> None:
+        """Write which rows a step may rest on, a byte for each of `names`; `of_another` kind of problem than this."""
         self._guess[: len(guess)] = guess
+        self.settings[3] = of_another
 
     def kept_rows(self) -> bytes:
         """Return which rows the step was computed from, a byte for each of `names`: a guess for the next."""
@@ -261,7 +263,7 @@ def workspace_for(sizes: Sizes) -> Workspace:
 
 def workspace_of(layout: Layout) -> tuple[Workspace, Sizes]:
     """Return this thread's workspace for problems of a layout, their pattern filled in, and their sizes."""
-    if _OWN.last is not None and _OWN.last[0].is_of(layout):
+    if _OWN.last is not None and _OWN.last[0].layout is layout:
         return _OWN.last
     sizes = _OWN.sizes.get(layout)
     if sizes is None:
