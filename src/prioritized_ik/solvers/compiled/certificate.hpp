@@ -406,7 +406,7 @@ class Certified : public Extended {
         for (int i = 0; i < n; i++) {
             const Doubled normal = normals.from(size_t(i) * s);
             double* rounded = look.normals + size_t(i) * stride;
-            const double given = along(own.ids[look.place[i]], exact, v, normal);
+            const double given = along(own.ids[look.place[i]], exact, at.start, v, normal);
             const double size = norm(normal.high, v), scale = 1.0 / size;
             look.sizes[i] = size / given;  // of a row of unit length
             for (int j = 0; j < v; j++) {

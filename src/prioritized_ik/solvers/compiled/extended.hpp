@@ -148,19 +148,16 @@ class Extended : public Face {
         }
     }
 
-    // An inequality along `exact` directions (v rows of stride), and its length: as it is given, as its own rounding would
-    // count, or where it has a drift without that.
-    double along(int id, Doubled exact, int v, Doubled normal) {
-        Scope scope(arena_);
-        double *drift = nullptr, length = 1.0;
+    // An inequality along `exact` directions (v rows of stride), those of coordinates from `start` on, and its length: as it is
+    // given, as its own rounding would count, and nothing where the levels above settle it.
+    double along(int id, Doubled exact, int start, int v, Doubled normal) {
+        double length = 1.0;
         const double* row = nullptr;
-        if (has_drift_[id]) out_of(drift_ + size_t(id) * stride, drift = arena_.zeros(stride));
-        if (id >= 2 * m_ && drift) row = normal_ + size_t(id - 2 * m_) * stride;
-        else if (id >= 2 * m_) std::tie(row, length) = as_given(id);
+        if (id >= 2 * m_) std::tie(row, length) = as_given(id);
         for (int j = 0; j < v; j++) {
             const Doubled direction = exact.from(size_t(j) * stride);
-            const DoubleDouble moves = row ? dot(row, direction, stride) : id < m_ ? direction[id] : -direction[id - m_];
-            normal.set(j, drift ? moves + -dot(drift, direction, stride) : moves);
+            if (start + j >= settled_from_[id]) normal.set(j, DoubleDouble{0.0});
+            else normal.set(j, row ? dot(row, direction, stride) : id < m_ ? direction[id] : -direction[id - m_]);
         }
         return length;
     }

@@ -19,11 +19,11 @@ class Face : public Factored {
         carried_ = arena_.doubles(size_t(all_) * stride);
         drift_ = arena_.doubles(size_t(all_) * stride);
         is_carried_ = arena_.array<uint8_t>(all_);
-        has_drift_ = arena_.array<uint8_t>(all_);
+        settled_from_ = arena_.array<int>(all_);
         in_doubt_ = arena_.array<uint8_t>(all_);
         shares_ = arena_.array<int>(now_.levels + 2);
         std::memset(is_carried_, 0, all_);
-        std::memset(has_drift_, 0, all_);
+        std::fill_n(settled_from_, all_, m_);
         std::memset(in_doubt_, 0, all_);
         broken_ = broken_at_start();
     }
@@ -32,7 +32,7 @@ class Face : public Factored {
     void refactor() {
         factor();
         std::memset(is_carried_, 0, all_);
-        std::memset(has_drift_, 0, all_);
+        std::fill_n(settled_from_, all_, m_);
         std::memset(in_doubt_, 0, all_);
     }
 
@@ -61,6 +61,8 @@ class Face : public Factored {
         }
     }
 
+    bool has_drift(int i) const { return settled_from_[i] < m_; }
+
     void split_drift(int i, double* row) {
         double* drift = drift_ + size_t(i) * stride;
         for (int l = 0; l < now_.levels; l++) {
@@ -68,8 +70,8 @@ class Face : public Factored {
             if (c == m_ || levels_[l].is_soft) continue;
             const double moves = norm(row + c, m_ - c);
             if (moves <= levels_[l].settled) {
-                if (!has_drift_[i]) clear(drift, stride);
-                has_drift_[i] = 1;
+                if (!has_drift(i)) clear(drift, stride);
+                settled_from_[i] = min(settled_from_[i], c);
                 for (int j = c; j < m_; j++) drift[j] += row[j], row[j] = 0.0;
             }
             if (may_be_settled(moves, levels_[l].settled)) in_doubt_[i] = 1;
@@ -89,7 +91,7 @@ class Face : public Factored {
         for (int i = 0; i < t; i++) {
             copy(carried(ids[i]), rows + size_t(i) * stride, stride);
             sides[i] = side_[ids[i]];
-            drifting = drifting || has_drift_[ids[i]];
+            drifting = drifting || has_drift(ids[i]);
             doubt_ = doubt_ || in_doubt_[ids[i]];
         }
         hold(ids, rows, sides, t);
@@ -97,7 +99,7 @@ class Face : public Factored {
             double worst = 0.0;
             for (int i = 0; i < t; i++) {
                 copy(carried(ids[i]), rows + size_t(i) * stride, stride);
-                const double moved = has_drift_[ids[i]] ? dot(drift_ + size_t(ids[i]) * stride, x_, stride) : 0.0;
+                const double moved = has_drift(ids[i]) ? dot(drift_ + size_t(ids[i]) * stride, x_, stride) : 0.0;
                 sides[i] = side_[ids[i]] - moved;
                 worst = max(worst, abs(moved));
             }
@@ -454,7 +456,7 @@ class Face : public Factored {
     bool doubt_ = false;    // whether a row may count or not
     bool is_weak_ = false;  // whether rows that hold nearly say the same, so that they decide the step to few digits
     double* drift_ = nullptr;       // of inequalities in x, where they have any
-    uint8_t* has_drift_ = nullptr;
+    int* settled_from_ = nullptr;   // the coordinate from which on an inequality counts for nothing, m if none
 
   private:
     // What `part` leaves to `meet_parted`.

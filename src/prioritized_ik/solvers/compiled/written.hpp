@@ -31,11 +31,12 @@ class Written : public Certified {
         if (doubt_) throw Declined{NEARLY_DECIDED};
         // What mending it moves, if rows push: Proof._loose.
         if (t && -worst_hard_ > tol_.ROUNDING * scale_ / tol_.MARGIN) throw Declined{UNPROVEN};
-        for (int i = 0; i < all_ && (t || soft_); i++) {
-            const double off = i < hard_ ? reach_[i] : abs(reach_[i]);
-            // Beyond, whoever proves a step with this margin finds it loose.
-            if (off > tol_.MARGIN * near && off < (1.0 + tol_.MARGIN) * near) throw Declined{NEARLY_TIGHT};
-        }
+        // Beyond, whoever proves a step with this margin finds it loose: a hard row that pushes, or a soft one.
+        const auto is_between = [&](double off) { return off > tol_.MARGIN * near && off < (1.0 + tol_.MARGIN) * near; };
+        for (int k = 0; k < t && ids[k] < hard_; k++)
+            if (is_between(reach_[ids[k]]) && pushes(k, t)) throw Declined{NEARLY_TIGHT};
+        for (int i = hard_; i < all_; i++)
+            if (is_between(abs(reach_[i]))) throw Declined{NEARLY_TIGHT};
         is_written_ = true;
         const int levels = now_.levels;
         double* figures = io.figures.data() + FIGURES * (levels + 1);
@@ -77,6 +78,13 @@ class Written : public Certified {
     }
 
   private:
+    // Whether the row that is k-th of the t that a proof rests on has a multiplier in any level.
+    bool pushes(int k, int t) const {
+        for (int l = 0; l <= now_.levels; l++)
+            if (multipliers_[size_t(l) * t + k] != 0.0) return true;
+        return false;
+    }
+
     // Whether no level's cost could be lower, gaps with `margin`.
     bool is_optimal(double margin) const {
         const double* figures = io.figures.data();
