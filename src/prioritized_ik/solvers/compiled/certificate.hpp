@@ -118,7 +118,8 @@ class Certified : public Extended {
         for (int j = 0; j < m_; j++) apart[j] = u_[j] - reference_[j];
         into(apart, turned);
         copy(turned + rest_, g.values, m_ - rest_);
-        g.size = g.terms = size_ + norm(reference_, m_);
+        g.terms = size_ + norm(reference_, m_);
+        g.size = scale_;
         g.cost = dot(apart, apart, m_);
         g.steepness = 2.0 * sqrt(g.cost);
         g.strength = sqrt(double(m_));
@@ -197,7 +198,7 @@ class Certified : public Extended {
         above_ = max(carried_over, max(explained, apart));
         off_ = drawn + (excess > tol_.OFF * scale_ ? excess : 0.0);
         handed_ += excess;
-        const double demand = max(last ? g.size : max(block->demand, block->asked), max(sqrt(g.cost), tol_.LEAST_DEMAND * g.size));
+        const double demand = max(last ? g.terms : max(block->demand, block->asked), max(sqrt(g.cost), tol_.LEAST_DEMAND * g.size));
         double* figures = io.figures.data() + size_t(l) * FIGURES;
         const double moved = g.strength * carried_over;
         double steepness = g.steepness;  // rows follow what levels above move, too
