@@ -88,7 +88,7 @@ def _measure(name: str, robot: Robot, settings: BenchSettings) -> RobotTimes:
     measured = RobotTimes(robot.scene(0).model.nv)
     for track in range(settings.tracks):
         scene = robot.scene(track)
-        states = _states(robot, scene, settings.track)
+        states = states_of(robot, scene, settings.track)
         rivals = {
             f"mink ({solver})": MinkOnRobot(name, scene, solver)
             for solver in MINK_SOLVERS
@@ -100,7 +100,7 @@ def _measure(name: str, robot: Robot, settings: BenchSettings) -> RobotTimes:
     return measured
 
 
-def _states(robot: Robot, scene: Scene, count: int) -> list[Array]:
+def states_of(robot: Robot, scene: Scene, count: int) -> list[Array]:
     """Return the joint positions that the robot's own hierarchy goes through, fewer than `count` where it finds no step."""
     solver, states = ActiveSet(), [scene.now.qpos.copy()]
     while len(states) < count:

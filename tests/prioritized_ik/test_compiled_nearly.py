@@ -5,6 +5,9 @@ import numpy as np
 import paths
 import pytest
 
+from comparisons.bench.tracks import problem_of, states_of
+from comparisons.robots import ROBOTS
+from prioritized_ik.models import update_kinematics
 from prioritized_ik.problem import Bounds, IKProblem, Level
 from prioritized_ik.solvers.compiled import fast
 from prioritized_ik.solvers.compiled.library import library
@@ -55,3 +58,21 @@ def test_after_a_closed_form_steps_are_the_same(target: float) -> None:
 )
 def test_a_search_through_rows_without_a_step_in_common_comes_to_rest(kind: str, seed: int) -> None:
     assert campaign.judge_compiled(campaign.draw(kind, seed)).word == campaign.RIGHT
+
+
+@pytest.mark.parametrize(
+    ("name", "track", "levels", "moving"),
+    [("SCARA", 3, 1, 12), ("industrial arm", 2, 6, 17), ("arm on wheels", 2, 1, 5)],
+)
+def test_robots_at_rest_beside_their_limits_are_answered(name: str, track: int, levels: int, moving: int) -> None:
+    robot, resting = ROBOTS[name], 12
+    scene, answered = robot.scene(track), 0
+    for q in states_of(robot, scene, moving + resting)[moving:]:
+        update_kinematics(scene.model, scene.now, q)
+        problem = problem_of(robot, scene, levels)
+        step, expected = fast.compiled_step(problem, 0.0), by_python(problem)
+        assert expected.dtheta is not None
+        assert np.linalg.norm(expected.dtheta) < 1e-5  # [rad]
+        answered += step is not None
+        assert step is None or step.tight_rows == expected.tight_rows
+    assert answered >= resting - 1
