@@ -222,7 +222,7 @@ class Level : public Frame {
         most_rows_ = max(most_rows_, step.rows);
         work_.swap(other_work_);  // where rows on x were turned to is not where they are turned to now
         std::vector<double>& memory = work_;
-        const size_t size = size_t(step.rows + d) * w + padded(d) + padded(step.d_before);
+        const size_t size = size_t(step.rows + d) * w + 2 * padded(d);
         memory.resize(max(memory.size(), size));
         double *rows = memory.data(), *both = rows + size_t(step.rows) * w, *x = both + size_t(d) * w, *unit = x + padded(d);
         join_flow(step, both, w, unit);
