@@ -13,7 +13,7 @@ struct TreeRows {
     const double *points, *directions, *targets, *weights;  // (count, 3), (count, 3), (count), (count)
 };
 
-// What the caller owns and fills: `_packed` in compiled/tree_step.py, number by number. The metric is null where it is one.
+// What the caller owns and fills: `given` in compiled/tree_step.py, number by number. The metric is null where it is one.
 struct TreeProblem {
     double rank_tolerance;
     int64_t joints, levels, question;
