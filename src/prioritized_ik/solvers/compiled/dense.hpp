@@ -152,8 +152,7 @@ class Arena {
     size_t offset() const { return (LINE - reinterpret_cast<size_t>(memory_.get()) / sizeof(double) % LINE) % LINE; }
 
     void take(size_t size) {
-        memory_.reset();
-        memory_.reset(new double[size]);  // not written to: pages that no solve needs are never touched
+        memory_.reset(new double[size]);  // not written to: pages that no solve needs are never touched; or the old ones stay
         size_ = size;
         used_ = 0;
     }
