@@ -56,6 +56,25 @@ def test_the_oracles_optimum_has_multipliers_at_every_level_and_nothing_near_it_
                 assert not exact.is_optimal(clean, moved)
 
 
+def test_the_oracle_measures_in_a_metric_that_couples_joints_to_the_last_bit() -> None:
+    for seed in range(20):
+        sketch = campaign.Sketch(np.random.default_rng(seed))
+        root, x = sketch.integers(sketch.m, sketch.m), [Fraction(int(value)) for value in sketch.vector()]
+        sketch.metric, sketch.reference = root.T @ root + np.eye(sketch.m), sketch.vector()
+        clean = exact.ExactProblem.of(sketch.problem())
+        apart = [a - b for a, b in zip(x, clean.reference, strict=True)]
+        form = sum(apart[i] * clean.metric[i][j] * apart[j] for i in range(sketch.m) for j in range(sketch.m))
+        assert clean.last.cost(x) == form
+
+
+@pytest.mark.parametrize("below", ["free", "hold"])
+def test_the_oracle_knows_what_a_damped_level_reaches_and_leaves(below: str) -> None:
+    level, posture = pik.Level([[1.0, 0.0]], [3.0], damping=0.5, below=below), pik.Level(np.eye(2), [5.0, 7.0])
+    best = exact.optimum(exact.ExactProblem.of(pik.IKProblem([level, posture], metric=[1.0, 4.0])))
+    assert best is not None
+    assert best.x == [2, 7 if below == "free" else 0]
+
+
 def test_a_problem_is_infeasible_exactly_where_it_was_made_so() -> None:
     assert all(campaign.draw("infeasible", seed).optimum is None for seed in range(20))
 

@@ -25,9 +25,11 @@ from typing import Any
 import exact
 import numpy as np
 import paths
+import scipy.linalg
 
 import prioritized_ik as pik
 from prioritized_ik.solvers.compiled import fast
+from prioritized_ik.solvers.damping import handed_down
 
 Array = np.ndarray
 
@@ -72,6 +74,7 @@ class Sketch:
         self.equalities: list[tuple[Array, float]] = []
         self.reference = np.zeros(self.m)
         self.metric: Array | None = None
+        self.damping: dict[int, tuple[float, str]] = {}  # by level, and what it leaves to those below
 
     def integers(self, *shape: int, most: int = 3) -> Array:
         """Return whole numbers from -most to most."""
@@ -161,6 +164,7 @@ class Sketch:
         twin = Sketch(self.rng, self.m)
         vars(twin).update(vars(self))
         twin.levels, twin.rows, twin.equalities = list(self.levels), list(self.rows), list(self.equalities)
+        twin.damping = dict(self.damping)
         return twin
 
     def problem(self, **options: float) -> pik.IKProblem:
@@ -172,7 +176,7 @@ class Sketch:
                 raise Unsupported(name)
         return pik.IKProblem(
             [
-                pik.Level(a, b, w, f"level {i + 1}", "at_most" if s else "equal")
+                pik.Level(a, b, w, f"level {i + 1}", "at_most" if s else "equal", *self.damping.get(i, ()))
                 for i, (a, b, w, s) in enumerate(self.levels)
             ],
             pik.Bounds(self.lower, self.upper),
@@ -204,8 +208,49 @@ class Case:
         free = replace(self.clean, rows=[], upper=[])
         reached = exact.optimum(free)
         assert reached is not None
-        root = np.sqrt([float(value) for value in free.metric])
-        return max(_longest(free, root), float(np.linalg.norm(root * [float(value) for value in reached.x])))
+        return max(_longest(free, self.measure), self.measure.length(reached.x))
+
+    @cached_property
+    def measure(self) -> "Measure":
+        """Of lengths, in the metric."""
+        return Measure.of(self.clean)
+
+    @cached_property
+    def aimed(self) -> pik.IKProblem:
+        """The library's problem, its damped levels asking for what their damped optimum reaches."""
+        return self.problem.with_levels(
+            [
+                pik.Level(given.matrix, [float(b) for b in level.target], given.weights, given.name)
+                if given.hands_down
+                else given
+                for given, level in zip(self.problem.levels, self.clean.levels, strict=True)
+            ]
+        )
+
+
+@dataclass(frozen=True)
+class Measure:
+    """Lengths in a joint metric M = Rᵀ R, R upper triangular."""
+
+    root: Array
+    inverse: Array
+
+    @staticmethod
+    def of(problem: exact.ExactProblem) -> "Measure":
+        root = np.linalg.cholesky(np.array(problem.metric, float)).T
+        return Measure(root, scipy.linalg.solve_triangular(root, np.eye(len(root))))
+
+    def length(self, step: exact.Vector) -> float:
+        return float(np.linalg.norm(self.root @ np.array(step, float)))
+
+    def row_length(self, row: exact.Vector) -> float:
+        """Return by how much a step of length 1 changes `row` x at most."""
+        return float(np.linalg.norm(np.array(row, float) @ self.inverse))
+
+    @property
+    def of_joints(self) -> Array:
+        """By how much a step of length 1 moves each joint at most."""
+        return np.linalg.norm(self.inverse, axis=1)
 
 
 @dataclass(frozen=True)
@@ -852,6 +897,133 @@ def _both(clean: Sketch, given: Sketch) -> tuple[Sketch, Sketch]:
     return clean, given
 
 
+# Several at once.
+
+
+@kind
+def mixed(rng: np.random.Generator) -> Sketch:
+    """One of the kinds above with one to three features more; no row is so short, in the metric, that it counts as none."""
+    while True:
+        s = KINDS[str(rng.choice(MIXABLE))](rng)
+        if not isinstance(s, Sketch):
+            continue
+        for number in rng.choice(len(FEATURES), int(rng.integers(1, 4)), replace=False):
+            FEATURES[number](s)
+        matrix = [*(row for a, *_ in s.levels for row in a), *(g for g, _ in (*s.rows, *s.equalities)), np.zeros(s.m)]
+        measure = Measure.of(exact.ExactProblem.of(s.problem()))
+        sizes = np.array([1.0, *map(measure.row_length, matrix)])
+        if not ((sizes > 0.0) & (sizes < SHORTEST * sizes.max())).any():
+            return s
+
+
+def _with_metric(s: Sketch) -> None:
+    """Measure in a matrix that couples joints."""
+    root = s.integers(s.m, s.m, most=2)
+    own = np.ones(s.m) if s.metric is None else s.metric
+    s.metric = np.diag(own) + s.power(-6, 6) * (root.T @ root)
+
+
+def _with_damping(s: Sketch) -> None:
+    """Damp a level of least squares, if there is one; what holds all joints, or leaves what it does not reach."""
+    among = [number for number, (*_, soft) in enumerate(s.levels) if not soft]
+    if among:
+        s.damping[int(s.rng.choice(among))] = (s.power(-40, 2), str(s.rng.choice(BELOW)))
+
+
+def _with_reference(s: Sketch) -> None:
+    """Aim the last level, near or far."""
+    s.reference = s.integers(s.m, most=5) * s.power(-10, 10)
+
+
+def _scaled(s: Sketch) -> None:
+    """Multiply the hard rows, a level or its rows by powers of two: the levels of all rows mean another problem then."""
+    which = int(s.rng.integers(3))
+    if which == 0:
+        s.rows = [(g * factor, h * factor) for g, h in s.rows for factor in (s.power(-20, 20),)]
+    elif s.levels:
+        number = int(s.rng.integers(len(s.levels)))
+        a, b, w, soft = s.levels[number]
+        factors = np.full(len(b), s.power(-20, 20)) if which == 1 else 2.0 ** s.rng.integers(-20, 21, len(b))
+        s.levels[number] = (a * factors[:, None], b * factors, w, soft)
+
+
+def _with_rows_nearly_parallel(s: Sketch) -> None:
+    """Turn rows that there are by 2^-k: as further hard rows near the optimum, or as a level's."""
+    there = [row for a, *_ in s.levels for row in a if row.any()] + [g for g, _ in s.rows if g.any()]
+    if not there:
+        return
+    for _ in range(s.rng.integers(1, 3)):
+        row = there[int(s.rng.integers(len(there)))]
+        turned = row + s.power(-24, -3) * np.abs(row).max() * s.vector()
+        if s.chance(0.5):
+            near = _Near.of(s)
+            turned = turned if near.is_above(turned) else -turned
+            s.rows.append((turned, near.side(turned)))
+            continue
+        number = int(s.rng.integers(len(s.levels) + 1))
+        if number == len(s.levels):
+            s.level(turned, s.integers(1, most=4) * np.abs(row).max())
+        else:
+            a, b, w, soft = s.levels[number]
+            target = float(turned @ s.anchor) + float(s.integers(1)[0]) * np.abs(row).max()
+            s.levels[number] = (np.vstack([a, turned]), np.append(b, target), np.append(w, 1.0), soft)
+
+
+def _with_bounds_near(s: Sketch) -> None:
+    """Bound joints close to the optimum, on either side of it."""
+    near = _Near.of(s)
+    for joint in s.rng.choice(s.m, int(s.rng.integers(1, s.m + 1)), replace=False):
+        unit = np.eye(s.m)[joint]
+        if near.is_above(unit):
+            s.upper[joint] = min(s.upper[joint], near.side(unit))
+        else:
+            s.lower[joint] = max(s.lower[joint], -near.side(-unit))
+
+
+@dataclass(frozen=True)
+class _Near:
+    """Where further rows may be that leave a step which keeps all rows: `kept`, the optimum or near it."""
+
+    sketch: Sketch
+    best: exact.Vector
+    kept: exact.Vector
+
+    @staticmethod
+    def of(s: Sketch) -> "_Near":
+        """Choose whether the optimum is to keep the rows, or only a step at a small distance from it."""
+        problem = exact.ExactProblem.of(s.problem())
+        best, other = exact.optimum(problem), exact.optimum(replace(problem, levels=[]))
+        assert best is not None
+        assert other is not None
+        share = Fraction(0 if s.chance(0.5) else s.power(-30, -1))
+        return _Near(s, best.x, [x + share * (y - x) for x, y in zip(best.x, other.x, strict=True)])
+
+    def is_above(self, normal: Array) -> bool:
+        """Whether a row is to bound steps from above: that which bars the optimum, or any."""
+        towards = _dot(normal, self.best) - _dot(normal, self.kept)
+        return self.sketch.chance(0.5) if towards == 0 else towards > 0
+
+    def side(self, normal: Array) -> float:
+        """Return a side that `kept` keeps, on it but for rounding or nearly on it."""
+        size = max((abs(Fraction(a) * x) for a, x in zip(normal, self.kept, strict=True)), default=Fraction(0)) or Fraction(
+            1
+        )
+        gap = Fraction(0 if self.sketch.chance(0.3) else self.sketch.power(-40, -3)) * size
+        exactly = _dot(normal, self.kept) + gap
+        side = float(exactly)
+        return side if side >= exactly else float(np.nextafter(side, np.inf))
+
+
+def _dot(row: Array, x: exact.Vector) -> Fraction:
+    return sum((Fraction(a) * value for a, value in zip(row, x, strict=True)), Fraction(0))
+
+
+SHORTEST = 2.0**-44  # of the longest row; the library takes what is 64 units in the last place of it for rounding
+BELOW = ("free", "hold")
+FEATURES = (_with_metric, _with_damping, _with_reference, _scaled, _with_rows_nearly_parallel, _with_bounds_near)
+MIXABLE = [name for name in KINDS if name not in ("infeasible", "mixed")]
+
+
 # The judge.
 
 
@@ -872,16 +1044,22 @@ def judge(case: Case, solver: str = "daqp") -> Verdict:
     except pik.PrioritizedIkError as error:  # anything else is a bug, and passes
         told = case.optimum is None and isinstance(error, pik.InputError)
         return Verdict(RIGHT if told else MISSED if case.optimum is None else NO_STEP, f"{type(error).__name__}: {error}")
-    certificate = step.certificate or pik.certify(case.problem, step.dtheta)
+    certificate = step.certificate or pik.certify(case.aimed, step.dtheta)
     return judge_step(case, step.dtheta, certificate)
 
 
 def judge_compiled(case: Case) -> Verdict:
     """Return what the compiled core alone makes of a case."""
-    step = None
-    if fast.answers(case.problem) and not any(level.damping for level in case.problem.levels):
-        step = fast.compiled_step(case.problem, 0.0)
-    return Verdict(DECLINED) if step is None else judge_step(case, step.dtheta, step.certificate)
+    if not fast.answers(case.problem):
+        return Verdict(DECLINED)
+    aimed = handed_down(case.problem, _core_step)
+    step = aimed if isinstance(aimed, pik.JointStep) else _core_step(aimed)
+    return Verdict(DECLINED) if step.dtheta is None else judge_step(case, step.dtheta, step.certificate)
+
+
+def _core_step(problem: pik.IKProblem) -> pik.JointStep:
+    """Return the compiled core's step, or one without any where it declines."""
+    return fast.compiled_step(problem, 0.0) or pik.JointStep(None, pik.StepStatus.NOT_FOUND)
 
 
 def judge_python(case: Case, solver: str = "daqp") -> Verdict:
@@ -898,18 +1076,17 @@ def judge_step(case: Case, dtheta: Array, certificate: Any) -> Verdict:
     if not certificate.holds:
         return Verdict(UNCERTIFIED, f"violation {certificate.violation:.0e}, worst {certificate.worst:.0e}")
     clean, x = case.clean, [Fraction(float(value)) for value in dtheta]
-    root = np.sqrt([float(value) for value in clean.metric])
-    truth = np.array([float(value) for value in best.x])
-    off = float(np.linalg.norm(root * [float(a - b) for a, b in zip(x, best.x, strict=True)]))
-    size, asked = float(np.linalg.norm(root * truth)), _longest(clean, root)
+    measure = case.measure
+    off = measure.length([a - b for a, b in zip(x, best.x, strict=True)])
+    size, asked = measure.length(best.x), _longest(clean, measure)
     if size < ROUNDED / BROKEN * asked:  # at rest
         asked = case.asked
     floor = ROUNDED * asked
-    broken = _broken(clean, x, root)
+    broken = _broken(clean, x, measure)
     if broken > (BROKEN + CARRIED * case.noise) * size + floor:
         return Verdict(WRONG, f"breaks a row by {broken:.1e}, step {size:.1e}")
     gaps = getattr(certificate, "gaps", (0.0,) * len(best.costs))
-    displaced = LOST * np.minimum(size / root, _reach(case.problem)) + floor / root
+    displaced = LOST * np.minimum(size * measure.of_joints, _reach(case.problem)) + floor * measure.of_joints
     leans = broken > (LEANS + CARRIED * case.noise) * size
     for number, (level, cost, gap) in enumerate(zip(clean.every_level, best.costs, gaps, strict=True)):
         allowed = gap + (COST + CARRIED * case.noise) * float(_terms(level, best.x))
@@ -950,25 +1127,25 @@ def _reach(problem: pik.IKProblem) -> Array:
     return np.maximum(np.abs(problem.bounds.lower), np.abs(problem.bounds.upper))
 
 
-def _longest(clean: exact.ExactProblem, root: Array) -> float:
+def _longest(clean: exact.ExactProblem, measure: Measure) -> float:
     """Return the longest step that a row of a level, of the last one included, asks for alone."""
     lengths = [
         abs(float(b)) / size
         for level in clean.every_level
         for row, b in zip(level.matrix, level.target, strict=True)
-        if (size := float(np.linalg.norm(np.array(row, float) / root)))
+        if (size := measure.row_length(row))
     ]
     return max(lengths)
 
 
-def _broken(clean: exact.ExactProblem, x: exact.Vector, root: Array) -> float:
+def _broken(clean: exact.ExactProblem, x: exact.Vector, measure: Measure) -> float:
     """Return by how much the step breaks a hard row or equality at worst, as a distance."""
     worst = 0.0
     sides = [(row, h, False) for row, h in zip(clean.rows, clean.upper, strict=True)]
     sides += [(row, f, True) for row, f in zip(clean.equalities, clean.sides, strict=True)]
     for row, side, both in sides:
         above = float(sum((a * value for a, value in zip(row, x, strict=True)), Fraction(0)) - side)
-        size = float(np.linalg.norm(np.array(row, float) / root))
+        size = measure.row_length(row)
         if size:
             worst = max(worst, (abs(above) if both else above) / size)
     return worst
@@ -985,7 +1162,7 @@ def judge_feigned(case: Case) -> Verdict:
         assert other is not None
         for part in (Fraction(1), Fraction(1, 2), Fraction(1, 1024)):
             step = (truth + part * (np.array(other.x) - truth)).astype(float)
-            verdict = judge_step(case, step, pik.certify(case.problem, step))
+            verdict = judge_step(case, step, pik.certify(case.aimed, step))
             if verdict.word == WRONG:
                 return Verdict(WRONG, f"without level {left_out + 1}: {verdict.why}")
     return Verdict(RIGHT)

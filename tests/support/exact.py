@@ -10,7 +10,7 @@ a row, its excess. Vectors are kept as integers over a common denominator; rows 
 import math
 import operator
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain, combinations
 from typing import Any
@@ -40,7 +40,10 @@ class ExactLevel:
 
 @dataclass(frozen=True)
 class ExactProblem:
-    """A hierarchy: `rows` x <= `upper` (bounds among them), `equalities` x = `sides`, levels, and a last level."""
+    """A hierarchy: `rows` x <= `upper` (bounds among them), `equalities` x = `sides`, levels, and a last level.
+
+    Damping is rows of its level; where a damped level hands its optimum down, it asks for what that reaches.
+    """
 
     levels: list[ExactLevel]
     rows: list[Vector]
@@ -48,7 +51,7 @@ class ExactProblem:
     equalities: list[Vector]
     sides: Vector
     reference: Vector
-    metric: Vector
+    metric: list[Vector]
 
     @staticmethod
     def of(problem: Any) -> "ExactProblem":
@@ -59,21 +62,41 @@ class ExactProblem:
         rows = [unit[i] for i in range(m) if math.isfinite(high[i])]
         rows += [[-value for value in unit[i]] for i in range(m) if math.isfinite(low[i])]
         upper = [value for value in high if math.isfinite(value)] + [-value for value in low if math.isfinite(value)]
-        metric = getattr(problem, "metric", [1.0] * m)
-        if getattr(metric, "ndim", 1) == 2:
-            metric = metric.diagonal()
-        return ExactProblem(
-            [
-                ExactLevel(_table(one.matrix), _vector(one.target), _vector(one.weights), one.kind == "at_most")
-                for one in problem.levels
-            ],
+        metric = problem.metric
+        if metric.ndim == 1:
+            table = [[Fraction(float(metric[i])) * value for value in unit[i]] for i in range(m)]
+        else:
+            table = _table(metric)
+        whole = ExactProblem(
+            [],
             rows + _table(problem.rows.matrix),
             _vector(upper) + _vector(problem.rows.upper),
             _table(problem.equalities.matrix),
             _vector(problem.equalities.target),
             _vector(problem.reference),
-            _vector(metric),
+            table,
         )
+        for one in problem.levels:
+            whole = replace(whole, levels=[*whole.levels, whole._level(one)])
+        return whole
+
+    def _level(self, given: Any) -> ExactLevel:
+        """Return what a `Level` says below these levels."""
+        level = ExactLevel(_table(given.matrix), _vector(given.target), _vector(given.weights), given.kind == "at_most")
+        if not given.damping:
+            return level
+        damping = Fraction(given.damping)
+        damped = ExactLevel(
+            level.matrix + self.last.matrix,
+            level.target + [Fraction(0)] * self.joint_count,
+            level.weights + [damping * weight for weight in self.last.weights],
+        )
+        if given.below == "hold":
+            return damped
+        reached = optimum(replace(self, levels=[*self.levels, damped]))
+        if reached is None:
+            return level
+        return replace(level, target=[_dot(row, reached.x) for row in level.matrix])
 
     @property
     def joint_count(self) -> int:
@@ -82,10 +105,19 @@ class ExactProblem:
 
     @property
     def last(self) -> ExactLevel:
-        """The implicit last level, (x - r)ᵀ M (x - r)."""
-        m = self.joint_count
-        unit = [[Fraction(int(i == j)) for j in range(m)] for i in range(m)]
-        return ExactLevel(unit, self.reference, self.metric)
+        """The implicit last level, (x - r)ᵀ M (x - r), with M = Rᵀ D R and R triangular, its diagonal of ones."""
+        rows: list[Vector] = []
+        weights: Vector = []
+        left = self.metric  # without what the rows so far measure
+        for i in range(self.joint_count):
+            pivot_row, pivot = left[i], left[i][i]
+            rows.append([value / pivot for value in pivot_row])
+            weights.append(pivot)
+            left = [
+                [a - share * b for a, b in zip(row, pivot_row, strict=True)]
+                for row, share in zip(left, rows[i], strict=True)
+            ]
+        return ExactLevel(rows, [_dot(row, self.reference) for row in rows], weights)
 
     @property
     def every_level(self) -> list[ExactLevel]:
