@@ -145,6 +145,11 @@ class Level:
         """Length of each row `(k,)`."""
         return lengths(self.matrix)
 
+    @cached_property
+    def strength(self) -> float:
+        """What a step of unit length can do to the level at most, ‖W^½ A‖."""
+        return math.sqrt(self.weights @ self.row_lengths**2)
+
     @property
     def demand(self) -> float:
         """Length of what the level asks for, √(bᵀ W b), infinite targets aside."""
@@ -367,8 +372,10 @@ class IKProblem:
         return any([level.hands_down for level in self.levels])
 
     def with_levels(self, levels: Sequence[Level]) -> "IKProblem":
-        """Return the problem with other levels."""
-        return replaced(self, levels=tuple(levels))
+        """Return the problem with other levels; what rows and metric alone decide is not worked out again."""
+        other = replaced(self, levels=tuple(levels))
+        vars(other).update({name: value for name, value in vars(self).items() if name in _WITHOUT_LEVELS})
+        return other
 
     @cached_property
     def metric_root(self) -> Array:
@@ -559,6 +566,10 @@ class IKProblem:
             f"{len(self.equalities.target)} equalities"
         )
         return "\n".join(lines)
+
+
+#: What of a problem, worked out when looked at, does not depend on its levels.
+_WITHOUT_LEVELS = frozenset({"metric_root", "inequalities", "row_lengths", "equality_lengths"})
 
 
 def trusted(kind: type[Record], /, **fields: object) -> Record:

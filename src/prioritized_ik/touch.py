@@ -100,7 +100,7 @@ class TouchSensor:
         # where the segment between the two nearest points is not.
         centre = data.geom_xpos[self.links]
         axis = data.geom_xmat[self.links].reshape(n, 3, 3)[:, :, 2]
-        along = np.einsum("ni,ni->n", point - centre, axis)
+        along = np.vecdot(point - centre, axis)
         along = np.minimum(np.maximum(along, -self.half_lengths), self.half_lengths)
         inward = centre + along[:, None] * axis - point
         size = np.sqrt((inward * inward).sum(axis=1))

@@ -109,7 +109,7 @@ class VirtualArms:
 
     def _world_points(self, data: mujoco.MjData) -> Array:
         rotations = data.xmat[self.bodies].reshape(-1, 3, 3)
-        return data.xpos[self.bodies] + np.einsum("nij,nj->ni", rotations, self.offsets)
+        return data.xpos[self.bodies] + (rotations @ self.offsets[:, :, None])[:, :, 0]
 
 
 def jacobian_of_inner_arm(

@@ -18,7 +18,7 @@ from prioritized_ik.solvers.compiled.workspace import Sizes, workspace_for
 from prioritized_ik.solvers.hierarchy import Hierarchy, strict_solution
 from prioritized_ik.solvers.solve import solve
 from prioritized_ik.solvers.step import StepStatus
-from prioritized_ik.tolerances import AMPLE, DEPENDENT, FLOOR, NOISE
+from prioritized_ik.tolerances import AMPLE, DEPENDENT, EPS, FLOOR, NOISE
 from prioritized_ik.weights import FREE
 
 #: The planted problems' singular values are above 3e-3 of the largest, or zero: the cut is no matter of taste.
@@ -167,6 +167,15 @@ def test_a_blocks_shortfall_is_the_gradient_of_half_its_cost_and_tells_how_large
         assert np.linalg.norm(found.gradient) <= most
 
 
+def test_half_a_unit_of_what_is_given_turns_what_levels_leave_by_as_much_as_the_weakest_so_far():
+    rows = np.diag([1.0, 1e-3, 1.0, 1e-6])
+    soft = Level(rows[2:3], [1.0], kind="at_most")
+    hierarchy = Hierarchy(IKProblem([Level(rows[:2], np.ones(2)), soft, Level(rows[2:], np.ones(2))]), 1e-8)
+    turned = [hierarchy.turned_as_given(number) for number in (-1, 0, 1, 2, 3)]
+    assert turned[0] == 0.0
+    assert turned[1:] == pytest.approx([500.0 * EPS] * 2 + [5e5 * EPS] * 2, rel=0.1)
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_a_block_aimed_at_another_target_is_that_of_a_fresh_factorisation(seed):
     rng = np.random.default_rng(seed)
@@ -174,8 +183,8 @@ def test_a_block_aimed_at_another_target_is_that_of_a_fresh_factorisation(seed):
     other = [Level(one.matrix, rng.normal(size=len(one.target)), one.weights) for one in levels]
     blocks, fresh = (Hierarchy(IKProblem(some)).blocks for some in (levels, other))
     for level, block, truth in zip(other, blocks, fresh, strict=True):
-        aimed = block.aimed(level.target, level.weights)
-        for name in ("free", "felt", "root", "inverse", "matrix", "whitening", "below", "target", "terms"):
+        aimed = block.aimed(level.target)
+        for name in ("free", "felt", "root", "inverse", "matrix", "whitening", "below", "target"):
             assert np.array_equal(getattr(aimed, name), getattr(truth, name)), name
         assert aimed.demand == pytest.approx(truth.demand, rel=1e-15)
         assert aimed.settled == truth.settled

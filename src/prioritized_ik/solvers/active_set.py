@@ -161,7 +161,7 @@ def _face_solution(hierarchy: Hierarchy, active: Active, drifted: Array) -> Arra
         to_hold, sides, free = combined.T @ to_hold, combined.T @ sides, felt.unfelt
     wanted = free.T @ (hierarchy.problem.reference - u)
     last = len(hierarchy.blocks)
-    move, _ = _held(hierarchy, last, free, Range(free, free[:, :0], None), wanted, to_hold, sides - to_hold @ u)
+    move, _ = _held(hierarchy, last, free, hierarchy.last_range(free), wanted, to_hold, sides - to_hold @ u)
     return u + free @ move
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from prioritized_ik.problem import Level
 from prioritized_ik.solvers.double_double import DoubleDouble
-from prioritized_ik.solvers.subspaces import Range, least_squares, nonnegative_least_squares, pseudoinverse
-from prioritized_ik.tolerances import BALANCINGS, DEPENDENT, EPS, FINEST, ROUNDING, TURNS, UNFELT
+from prioritized_ik.solvers.subspaces import least_squares, nonnegative_least_squares, pseudoinverse
+from prioritized_ik.tolerances import BALANCINGS, DEPENDENT, EPS, FINEST, ROUNDING, TURNS
 from prioritized_ik.validation import Array, length, lengths
 
 
@@ -23,22 +23,6 @@ def farthest(rows: Array, room: Array, basis: Array) -> float:
         return 0.0
     ways = basis @ pseudoinverse(rows @ basis)
     return float(lengths(ways.T) @ room)
-
-
-def whitened(range_: Range, *, weakly: bool = False) -> tuple[Array, Array]:
-    """Return directions `(m, v)` in which a level's cost is ‖·‖², and their lengths.
-
-    Those it does not feel are there at `UNFELT`, or `weakly`: as little felt as the weakest one that is.
-    """
-    felt_lengths = lengths(range_.felt.T)
-    if not range_.unfelt.shape[1]:
-        return range_.felt, felt_lengths
-    unfelt = (float(felt_lengths.min()) if len(felt_lengths) else 1.0) / UNFELT
-    if weakly:
-        unfelt = max(felt_lengths.max(initial=0.0), unfelt)
-    unfelt_lengths = np.full(range_.unfelt.shape[1], unfelt)
-    basis = np.concatenate([range_.felt, range_.unfelt * unfelt], axis=1)
-    return basis, np.concatenate([felt_lengths, unfelt_lengths])
 
 
 def exact_gradient(level: Level, felt: DoubleDouble, u: Array) -> tuple[DoubleDouble, Array]:
@@ -115,6 +99,9 @@ class Look:
         blur: how much of the gradient can be rounding of the step itself.
         feigned: how long a step rounding of doubles can feign.
         size: of the terms whose difference the gradient is.
+        beyond: the rest beyond its rounding `(v,)`.
+        displacement: that, as a step `(m,)`.
+        excess: length of the displacement.
     """
 
     balance: Balance
@@ -127,22 +114,9 @@ class Look:
     blur: float
     feigned: float
     size: float
-
-    @cached_property
-    def beyond(self) -> Array:
-        """The rest beyond its rounding `(v,)`."""
-        rest = self.balance.rest
-        return rest - np.minimum(np.maximum(rest, -self.rounding), self.rounding)
-
-    @cached_property
-    def is_off(self) -> bool:
-        """Whether there is any."""
-        return bool(np.count_nonzero(self.beyond))
-
-    @cached_property
-    def displacement(self) -> Array:
-        """That, as a step `(m,)`."""
-        return -(self.basis @ self.beyond) if self.is_off else np.zeros(len(self.basis))
+    beyond: Array
+    displacement: Array
+    excess: float
 
     def falls(self, felt: int, carrying: NDArray[np.bool_], given: float) -> bool:
         """Whether the level's cost falls along what it does not feel, all but the first `felt` coordinates.

@@ -51,9 +51,7 @@ class EqualBlock:
         blur: how far rounding may have turned the directions below, by this level alone: the more the weaker it is.
         spectrum: the singular values, and where they were cut.
         target: c `(p,)`.
-        terms: sizes of the terms that make up the target `(p,)`.
-        spread: sizes of the terms that make up the matrix `(p, m)`: a weak direction is a difference of strong rows.
-        demand: length of W^½ b, out of reach or not.
+        level: whose block it is, in the joint metric.
     """
 
     free: Array
@@ -67,25 +65,36 @@ class EqualBlock:
     blur: float
     spectrum: Spectrum
     target: Array
-    terms: Array
-    spread: Array
-    demand: float
+    level: Level
 
     is_soft: ClassVar[bool] = False
 
-    def aimed(self, target: Array, weights: Array) -> "EqualBlock":
+    @cached_property
+    def demand(self) -> float:
+        """Length of W^½ b, out of reach or not."""
+        return self.level.demand
+
+    @property
+    def weakest(self) -> float:
+        """The least singular value that counts; infinite if there is none."""
+        return self.spectrum.weakest
+
+    def aimed(self, target: Array) -> "EqualBlock":
         """Return the block with another right-hand side b `(k,)`; the factors stay."""
-        terms = np.abs(self.whitening) @ np.abs(target)
-        return replaced(self, target=self.whitening @ target, terms=terms, demand=length(np.sqrt(weights) * target))
+        return replaced(self, target=self.whitening @ target, level=replaced(self.level, target=target))
 
     def missing(self, u: Array) -> Array:
         """Return c - N u `(p,)`: what the step still lacks of what the level can reach."""
         return self.target - self.matrix @ u
 
+    @cached_property
+    def _range(self) -> Range:
+        return Range(self.inverse, self.below, None)
+
     def within(self, free: Array) -> Range:
         """Return what the level feels within `free`, some or all of the directions that the levels above leave."""
         if free is self.free:
-            return Range(self.inverse, self.below, None)
+            return self._range
         return range_of(self.felt, self.root, free, max(self.settled, DEPENDENT))
 
     def wanted(
@@ -97,8 +106,9 @@ class EqualBlock:
 
     def shortfall(self, rows: "PooledRows", slack: Array, exceeded: NDArray[np.bool_], u: Array, free: Array) -> Shortfall:
         """Return what the level lacks at `u`."""
-        felt = self.within(free)
-        terms = self.terms + self.spread @ np.abs(u)
+        felt, level = self.within(free), self.level
+        # A weak direction is a difference of strong rows.
+        terms = np.abs(self.whitening) @ (np.abs(level.target) + np.abs(level.matrix) @ np.abs(u))
         strength = size(self.root)
         return Shortfall(felt, -felt.project(self.missing(u)), felt.project_sizes(terms), strength, 0.0)
 
@@ -118,6 +128,7 @@ class SoftBlock:
     demand: float
 
     is_soft: ClassVar[bool] = True
+    weakest: ClassVar[float] = np.inf  # a soft level decides nothing for good
 
     def wanted(
         self, rows: "PooledRows", upper: Array, active: NDArray[np.bool_], u: Array, free: Array
@@ -149,7 +160,8 @@ class PooledRows:
 
     Attributes:
         matrix: `(r, m)`, without what is too little of a row to count as a direction.
-        drift: `(r, m)`, that little; the rows are `matrix` + `drift`.
+        drift: `(r, m)`, that little.
+        whole: `(r, m)`, both together: the rows as they are.
         upper: `(r,)`.
         level: number of the soft level that a row belongs to `(r,)`; `HARD` for hard rows.
         strengths: √w times the row's length before `(r,)`; of no meaning for hard rows.
@@ -160,17 +172,13 @@ class PooledRows:
 
     matrix: Array
     drift: Array
+    whole: Array
     upper: Array
     level: NDArray[np.int_]
     strengths: Array
     names: tuple[str, ...]
     given: Array
     little: tuple[tuple[int, NDArray[np.int_]], ...]
-
-    @cached_property
-    def has_drift(self) -> bool:
-        """Whether there is any."""
-        return bool(self.little)
 
     def bounds_among(self, numbers: NDArray[np.int_]) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
         """Return which of the rows of such `numbers` bound one joint, `(b,)`, and the numbers of the joints `(b,)`."""
@@ -180,8 +188,7 @@ class PooledRows:
 
     def slack(self, u: Array) -> Array:
         """Return how far `u` is from each row `(r,)`; negative where it is exceeded."""
-        slack = self.upper - self.matrix @ u
-        return slack - self.drift @ u if self.has_drift else slack
+        return self.upper - self.whole @ u
 
     def reach(self, numbers: NDArray[np.int_], free: Array) -> Array:
         """Return how far rows move along the `free` directions at most, by number, as a fraction of their length."""
@@ -228,9 +235,7 @@ def equal_block(level: Level, free: Array, rank_tolerance: float, settled: float
         blur,
         spectrum,
         whitening @ level.target,
-        np.abs(whitening) @ np.abs(level.target),
-        np.abs(whitening) @ np.abs(level.matrix),
-        level.demand,
+        level,
     )
 
 

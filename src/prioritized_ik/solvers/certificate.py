@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from prioritized_ik.problem import IKProblem, Level
-from prioritized_ik.solvers.balance import Look, farthest, whitened
+from prioritized_ik.solvers.balance import Look, farthest
 from prioritized_ik.solvers.blocks import HARD, EqualBlock, Shortfall
 from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.level_proof import LevelProof
@@ -145,6 +145,8 @@ class Proof:
         #: How far a row can move that a level above holds, infinite for those that none holds.
         self._leak = np.full(len(rows.upper), np.inf)
         self._looks = Looks(hierarchy, u, self.scale, tolerance)
+        #: Which rows it breaks beyond rounding.
+        self._broken = ((self.slack < -ROUNDING * self.scale) & ~self.exceeded).nonzero()[0]
         self._off = 0.0  # by how much the step is off at the levels so far, in what they decide
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
         #: How far the step may go within the room that rows have: what is broken of hard ones, to begin with.
@@ -198,7 +200,7 @@ class Proof:
         free, near = hierarchy.free, (self.near & (rows.level == HARD)).nonzero()[0]
         for number, (level, block) in enumerate(zip(hierarchy.problem.levels, hierarchy.blocks, strict=True)):
             shortfall = block.shortfall(rows, self.slack, self.exceeded, u, free)
-            self._looks.settle(near, shortfall.felt.unfelt, number)
+            depend = self._looks.settle(near, shortfall.felt.unfelt, number)
             yield self._proof(level, block.demand, shortfall, free, near, number)
             if isinstance(block, EqualBlock):
                 free = shortfall.felt.unfelt
@@ -207,13 +209,14 @@ class Proof:
                 # None may be exceeded by more than it is, and none by less without costing the level: they hold.
                 own = self.exceeded & (rows.level == number)
                 free = shortfall.felt.unfelt if np.count_nonzero(own) else free
-                near = np.concatenate([near, np.flatnonzero(self.near & (rows.level == number))])
+                near, depend = np.concatenate([near, np.flatnonzero(self.near & (rows.level == number))]), True
             # Rows that hold a level hold it by themselves: what they leave together is not for others to tell.
-            self._looks.settle(np.isfinite(self._leak).nonzero()[0], free, number)
+            if depend:
+                self._looks.settle(np.isfinite(self._leak).nonzero()[0], free, number)
         reference = hierarchy.problem.reference
         terms = np.abs(free.T) @ (np.abs(u) + np.abs(reference))
         longest = length(u) + length(reference)
-        last = Shortfall(Range(free, free[:, :0], None), free.T @ (u - reference), terms, 1.0, 0.0)
+        last = Shortfall(hierarchy.last_range(free), free.T @ (u - reference), terms, 1.0, 0.0)
         yield self._proof(hierarchy.last_level, longest, last, free, near, len(hierarchy.blocks))
 
     def _proof(
@@ -232,12 +235,11 @@ class Proof:
         residual, felt = level.residual(self._u), shortfall.felt.felt
         pulled = level.weights * residual
         cost, steepness = float(residual @ pulled), 2.0 * length(pulled @ level.matrix)
-        strength = math.sqrt(level.weights @ level.row_lengths**2)  # ‖W^½ A‖
-        follows = strength * size(felt)
+        follows = level.strength * size(felt)
         look = self._looks.at(Conditions(level, shortfall, near, held, cost, follows, steepness, number))
-        excess, rounding = length(look.displacement), float(look.rounding @ look.rounding)
+        excess, rounding = look.excess, float(look.rounding @ look.rounding)
         gap = carried = 0.0
-        if look.is_off:
+        if look.excess:
             # Along what it does not feel a level's cost falls as far as steps of this size go.
             unfelt = length((look.beyond / look.sizes)[felt.shape[1] :])
             gap = float(look.beyond @ look.beyond) + 2.0 * unfelt * self.scale
@@ -245,12 +247,12 @@ class Proof:
             excess, gap, carried = 0.0, 0.0, gap
         multipliers, pull, loosened = np.zeros(len(self.slack)), look.balance.pulls, self._restored(free, number)
         if np.count_nonzero(pull):
-            slack, back = np.abs(self.slack[near]), held & (pull < 0.0)
-            # Weak duality, see above.
-            apart = slack > ROUNDING * self.scale  # the others are on their rows but for the rounding of the step itself
-            room = np.where(back, np.minimum(self._leak[near], FAR), np.where(apart, slack, 0.0))
-            gap += 2.0 * float(np.abs(pull) @ room)
-            carried += 2.0 * float(np.abs(pull) @ np.where(apart, 0.0, slack))
+            slack, back, force = np.abs(self.slack[near]), held & (pull < 0.0), np.abs(pull)
+            # Weak duality, see above. What is not apart is on its row but for the rounding of the step itself.
+            apart = np.where(slack > ROUNDING * self.scale, slack, 0.0)
+            room = np.where(back, np.minimum(self._leak[near], FAR), apart)
+            gap += 2.0 * float(force @ room)
+            carried += 2.0 * float(force @ (slack - apart))
             net = np.abs(look.balance.multipliers)
             counts = net > np.maximum(NOTHING * (look.size + net.sum() + shortfall.strength * self.scale), look.doubtful)
             multipliers[near] = np.where(counts, pull, 0.0)
@@ -258,14 +260,14 @@ class Proof:
             self._leak[first] = (gap + rounding) / multipliers[first]
             carrying = counts & ~back
             if np.count_nonzero(carrying):
-                far = self._loosened(near[carrying], np.abs(pull[carrying]), shortfall.felt, free, number)
+                far = self._loosened(near[carrying], force[carrying], shortfall.felt, free, number)
                 self._loose = max(self._loose, self._evaded(near[carrying], look, shortfall.felt, number))
-                if look.falls(felt.shape[1], carrying, self._hierarchy.decided.given(2 + number)):
+                if look.falls(felt.shape[1], carrying, self._hierarchy.turned_as_given(number)):
                     far = max(far, self.scale)  # until a row is in the way, which may be as far as that
                 loosened = max(loosened, far)
         drawn, above, handed = self._follow(level, pulled, felt, near, pull, look.displacement)
         self._off, self._above = drawn + excess, max(above, look.explained, loosened)
-        carried += rounding + handed + (steepness + 2.0 * float(np.abs(pull).sum())) * above + (strength * above) ** 2
+        carried += rounding + handed + (steepness + 2.0 * look.balance.pulled) * above + (level.strength * above) ** 2
         return LevelProof(
             level.name,
             gap,
@@ -308,9 +310,8 @@ class Proof:
 
         A row that hardly moves there is broken by little where the step is far from any that keeps it.
         """
-        rows = self._hierarchy.rows
-        broken = (self.slack < -ROUNDING * self.scale) & ~self.exceeded & (rows.level < number)
-        if not np.count_nonzero(broken):
+        broken = self._broken[self._hierarchy.rows.level[self._broken] < number]
+        if not len(broken):
             return 0.0
         moves = lengths(self._looks.rows[broken] @ free)
         there = moves > self._hierarchy.settled_by(number - 1)
@@ -356,6 +357,6 @@ class Proof:
                 far += max(apart, farthest(normals[among], room[among], way)) if has_room else apart
         if not has_room:
             return far
-        loosened = max(far, farthest(normals, room, whitened(range_)[0]))
+        loosened = max(far, farthest(normals, room, range_.whitened[0]))
         self._loose = max(self._loose, loosened)
         return loosened

@@ -8,8 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
 from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.tolerances import EPS, FINEST, TURNS
 from prioritized_ik.validation import Array
@@ -51,10 +49,6 @@ class Decided:
     def turn(self, count: int) -> float:
         """Return how far off directions can still be that were turned to what the first so many leave, as an angle."""
         return max((one.turn for one in self.decisions[:count]), default=0.0)
-
-    def given(self, count: int) -> float:
-        """Return how far half a unit in the last place of what is given turns what the first so many leave."""
-        return 0.5 * EPS / min((one.weakest for one in self.decisions[:count]), default=np.inf)
 
     def left(self, basis: Array, count: int) -> DoubleDouble:
         """Return `basis` `(m, v)` without what the first so many feel of it: rounding, where it is of directions below."""

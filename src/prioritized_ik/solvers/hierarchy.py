@@ -23,9 +23,11 @@ from prioritized_ik.solvers.blocks import HARD, Block, EqualBlock, PooledRows, S
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.decided import Decided, Decision
 from prioritized_ik.solvers.double_double import DoubleDouble
+from prioritized_ik.solvers.subspaces import Range
 from prioritized_ik.tolerances import (
     AMPLE,
     DEPENDENT,
+    EPS,
     FEASIBLE,
     FLOOR,
     SETTLED_PER_RANK_TOLERANCE,
@@ -79,7 +81,9 @@ class Hierarchy:
         self.start, self.free = self.kept.start, self.kept.free
         self.blocks: list[Block] = []
         self.rest = self.free
-        self.settled = self._settled_by_none = max(problem.noise, SETTLED_PER_RANK_TOLERANCE * rank_tolerance)
+        self.settled = max(problem.noise, SETTLED_PER_RANK_TOLERANCE * rank_tolerance)
+        # By no level, by the first, by the first two, …
+        self._settled, self._weakest = [self.settled], [self.kept.weakest]
         for number, level in enumerate(self.problem.levels):
             block: Block
             if level.is_soft:
@@ -88,6 +92,8 @@ class Hierarchy:
                 block = equal_block(level, self.rest, rank_tolerance, self.settled, problem.noise)
                 self.settled = block.settled
             self.blocks.append(block)
+            self._settled.append(self.settled)
+            self._weakest.append(min(self._weakest[-1], block.weakest))
             self.rest = block.below
 
     def is_cut(self, number: int) -> bool:
@@ -115,6 +121,14 @@ class Hierarchy:
         """The implicit one."""
         m = self.problem.joint_count
         return trusted_level(identity(m), self.problem.reference, ones(m), "last level")
+
+    @cached_property
+    def _range_of_rest(self) -> Range:
+        return Range(self.rest, self.rest[:, :0], None)
+
+    def last_range(self, free: Array) -> Range:
+        """Return what the last level feels: all of `free`, the directions `(m, f)` that are left to it."""
+        return self._range_of_rest if free is self.rest else Range(free, free[:, :0], None)
 
     @cached_property
     def exact_directions(self) -> dict[int, DoubleDouble]:
@@ -145,8 +159,11 @@ class Hierarchy:
 
     def settled_by(self, number: int) -> float:
         """What less of a row is left by the levels up to a number is rounding; a weak level below settles nothing above."""
-        own = (block.settled for block in self.blocks[: number + 1] if isinstance(block, EqualBlock))
-        return max(own, default=self._settled_by_none)
+        return self._settled[min(number + 1, len(self.blocks))]
+
+    def turned_as_given(self, number: int) -> float:
+        """How far half a unit in the last place of what is given turns the directions that levels up to a number leave."""
+        return 0.5 * EPS / self._weakest[min(number + 1, len(self.blocks))]
 
     def least(self, directions: int, number: int) -> float:
         """What a combination of rows moves at least along so many directions where it is not settled up to a level.
@@ -176,27 +193,28 @@ class Hierarchy:
                 numbers.append(np.full(len(level.target), number))
                 roots.append(np.sqrt(level.weights))
                 sizes.append(level.row_lengths)
-        matrix, long = np.concatenate(matrices), np.concatenate(sizes)
-        unit = matrix / long[:, None]
-        drift = np.zeros(unit.shape)
+        given, long = np.concatenate(matrices), np.concatenate(sizes)
+        whole = given / long[:, None]
+        matrix, drift = whole.copy(), np.zeros(whole.shape)
         few: list[tuple[int, NDArray[np.int_]]] = []
         for number, block in enumerate(self.blocks):
             if isinstance(block, EqualBlock):
-                moved = unit @ block.below
+                moved = matrix @ block.below
                 little = (lengths(moved) <= block.settled).nonzero()[0]
                 if len(little):
                     left = moved[little] @ block.below.T
                     drift[little] += left
-                    unit[little] -= left
+                    matrix[little] -= left
                     few.append((number, little))
         return PooledRows(
-            unit,
+            matrix,
             drift,
+            whole,
             np.concatenate(uppers) / long,
             np.concatenate(numbers),
             np.concatenate(roots) * long,
             names,
-            matrix,
+            given,
             tuple(few),
         )
 
@@ -217,8 +235,7 @@ class Hierarchy:
         least = [0.0]
         for level, block in zip(self.problem.levels, self.blocks, strict=True):
             if isinstance(block, EqualBlock) and block.demand > 0.0:
-                strength = math.sqrt(level.weights @ level.row_lengths**2)
-                least.append(block.demand / strength if strength > 0.0 else 0.0)
+                least.append(block.demand / level.strength if level.strength > 0.0 else 0.0)
         return max(least)
 
     @cached_property

@@ -19,6 +19,7 @@ from prioritized_ik.solvers import active_set
 from prioritized_ik.solvers.active_set import Active, Solution
 from prioritized_ik.solvers.backends.protocol import Backend
 from prioritized_ik.solvers.backends.registry import ACCURACY
+from prioritized_ik.solvers.blocks import HARD
 from prioritized_ik.solvers.certificate import Proof
 from prioritized_ik.solvers.compiled import fast
 from prioritized_ik.solvers.compiled.library import Question
@@ -373,12 +374,13 @@ def _step(
 ) -> JointStep:
     """Return a proven step, with `others` of its fields."""
     certificate, dtheta = proof.certificate, problem.from_metric(u)
+    is_tight = (proof.slack <= ACCEPTED_VIOLATION * proof.scale) & (hierarchy.rows.level == HARD)
     status = StepStatus.CLOSED_FORM if free else StepStatus.SOLVED
     return JointStep(
         dtheta,
         status if converged and certificate.holds else StepStatus.UNCERTIFIED,
         costs=tuple(level.cost(dtheta) for level in problem.levels),
-        tight_rows=problem.tight_rows(dtheta, ACCEPTED_VIOLATION * proof.scale),
+        tight_rows=_named(hierarchy, is_tight),
         violation=certificate.violation,
         certificate=certificate,
         levels=DeferredReports(problem, hierarchy.rank_tolerance, dtheta),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.problem import Level
-from prioritized_ik.solvers.balance import Balance, Look, balanced, exact_basis, exact_gradient, exactly_balanced, whitened
+from prioritized_ik.solvers.balance import Balance, Look, balanced, exact_basis, exact_gradient, exactly_balanced
 from prioritized_ik.solvers.blocks import EqualBlock, Shortfall
 from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.solvers.hierarchy import Hierarchy
@@ -62,18 +62,19 @@ class Looks:
         #: How far rounding may have turned the directions that the levels so far leave, for rows and for levels below.
         self._blur = self._blur_as_given = PROJECTION * EPS / hierarchy.kept.weakest
 
-    def settle(self, near: NDArray[np.int_], unfelt: Array, number: int) -> None:
+    def settle(self, near: NDArray[np.int_], unfelt: Array, number: int) -> bool:
         """Leave out of `near` rows what `unfelt` directions move of combinations that a level settles, as the kernel does.
 
-        Two rows that say the same of what is left, but for that little, are one row there.
+        Two rows that say the same of what is left, but for that little, are one row there. Returns whether there may be any
+        such combination, of these rows or of some of them.
         """
         if not len(near) or not unfelt.shape[1]:
-            return
+            return False
         moves, least = self.rows[near] @ unfelt, self._hierarchy.least(unfelt.shape[1], number)
         apart = lengths(moves) > self._hierarchy.settled_by(number)  # the others are settled by themselves
         near, moves = near[apart], moves[apart]
         if are_independent(moves, least):
-            return
+            return False
         combinations, strengths, directions = singular_values(moves)
         few = strengths <= least
         if np.count_nonzero(few):
@@ -82,6 +83,7 @@ class Looks:
                 self.rows = self.rows.copy()
             self.rows[near] -= (combinations[:, few] * strengths[few]) @ ways.T
             self._settled.append((near, combinations[:, few], ways, 2 + number))
+        return True
 
     def passed(self, block: EqualBlock, number: int) -> None:
         """Go on to the levels below."""
@@ -93,7 +95,7 @@ class Looks:
     def at(self, asked: Conditions) -> Look:
         """Return how far rows balance a level's gradient: in doubles, or where these cannot tell with twice the digits."""
         look, leaks = self._in_doubles(asked)
-        off = max(look.feigned / UNDECIDED, length(look.displacement) / self._tolerance, leaks / LEAKS)
+        off = max(look.feigned / UNDECIDED, look.excess / self._tolerance, leaks / LEAKS)
         # More digits of data that are off in the seventh tell nothing.
         if self._hierarchy.problem.noise > NOISE or off <= self._scale or self._is_plainly_off(asked, look):
             return look
@@ -103,7 +105,7 @@ class Looks:
         """Whether doubles tell how far the step is off: by far more than rounding feigns, as most that a search visits."""
 
         def is_told(seen: Look) -> bool:
-            return length(seen.displacement) > PLAIN * seen.feigned
+            return seen.excess > PLAIN * seen.feigned
 
         # What of a row was taken for rounding could balance the gradient, were it none.
         return is_told(look) and is_told(self._in_doubles(asked, whole=True)[0])
@@ -113,7 +115,7 @@ class Looks:
         shortfall, number = asked.shortfall, asked.number
         felt, noise = shortfall.felt.felt, self._hierarchy.problem.noise
         unit = noise if noise > NOISE else ROUNDING
-        basis, sizes = whitened(shortfall.felt)
+        basis, sizes = shortfall.felt.whitened
         # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
         leaks = EPS * asked.follows * math.sqrt(asked.cost) * float(sizes[: felt.shape[1]].max(initial=0.0))
         turns, turn_as_given = self._turns(number, felt.shape[1], len(sizes))
@@ -129,7 +131,7 @@ class Looks:
         """Return the same with twice the digits of doubles, from rows as they are given."""
         level, shortfall, number = asked.level, asked.shortfall, asked.number
         felt = shortfall.felt.felt.shape[1]
-        basis, sizes = whitened(shortfall.felt, weakly=not level.is_soft)
+        basis, sizes = shortfall.felt.whitened if level.is_soft else shortfall.felt.weakly_whitened
         turns, turn_as_given = self._turns(number, felt, len(sizes), closer=True)
         solved = self._hierarchy.cut_problem.levels[number] if self._hierarchy.is_cut(number) else level
         directions = self._directions(solved, shortfall, basis, number)
@@ -157,8 +159,24 @@ class Looks:
         feigned: float,
     ) -> Look:
         doubtful = self._doubtful(balance, sizes, asked.number, asked.shortfall.felt.felt.shape[1])
-        size = length(asked.shortfall.terms)
-        return Look(balance, gradient, basis, sizes, rounding, doubtful, explained, blur, feigned, size)
+        size, rest = length(asked.shortfall.terms), balance.rest
+        beyond = rest - np.minimum(np.maximum(rest, -rounding), rounding)
+        displacement = -(basis @ beyond)
+        return Look(
+            balance,
+            gradient,
+            basis,
+            sizes,
+            rounding,
+            doubtful,
+            explained,
+            blur,
+            feigned,
+            size,
+            beyond,
+            displacement,
+            length(displacement),
+        )
 
     def _directions(self, level: Level, shortfall: Shortfall, basis: Array, number: int) -> DoubleDouble:
         """Return what a `basis` `(m, v)` of a level is as the levels above leave it, and as it is felt.
@@ -181,8 +199,8 @@ class Looks:
         """Return how large a multiplier of each row `(t,)` half a unit in the last place of what is given can make."""
         if not np.count_nonzero(balance.multipliers):
             return np.zeros(len(balance.multipliers))
-        turns = np.full(len(sizes), self._hierarchy.decided.given(1 + number))
-        turns[felt:] = self._hierarchy.decided.given(2 + number)
+        turns = np.empty(len(sizes))
+        turns[:felt], turns[felt:] = (self._hierarchy.turned_as_given(n) for n in (number - 1, number))
         return np.abs(balance.normals) @ balance.turned(sizes, turns)
 
     def _exact_rows(self, near: NDArray[np.int_]) -> DoubleDouble:
@@ -206,15 +224,15 @@ class Looks:
             decided = self._hierarchy.decided
             above, as_given = (min(blur, decided.turn(1 + number)) for blur in (above, as_given))
             own = min(own, decided.turn(2 + number))
-        turns = np.full(count, above + PROJECTION * (FINEST if closer else EPS))
-        turns[felt:] = np.maximum(turns[felt:], own)
+        turns, whatever = np.empty(count), above + PROJECTION * (FINEST if closer else EPS)
+        turns[:felt], turns[felt:] = whatever, max(whatever, own)
         return turns, as_given
 
 
 def _gradient(shortfall: Shortfall, sizes: Array, unit: float) -> tuple[Array, Array]:
     """Return a level's gradient in coordinates of such `sizes` `(v,)`, and its rounding; what it does not feel is zero."""
     felt = len(shortfall.gradient)
-    gradient = np.concatenate([shortfall.gradient, np.zeros(len(sizes) - felt)])
-    strongest = max(sizes[:felt], default=0.0)
-    terms = np.concatenate([shortfall.terms + shortfall.leak * strongest, shortfall.leak * sizes[felt:]])
+    gradient, terms = np.zeros(len(sizes)), shortfall.leak * sizes
+    gradient[:felt] = shortfall.gradient
+    terms[:felt] = shortfall.terms + terms[:felt].max(initial=0.0)
     return gradient, unit * terms

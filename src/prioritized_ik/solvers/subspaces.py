@@ -1,13 +1,13 @@
 """Orthogonal geometry: ranges and null spaces, least squares within them, and cones of tight rows."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from prioritized_ik.tolerances import CLEARLY, DEPENDENT, EPS, ESTIMATES, PROJECTION
+from prioritized_ik.tolerances import CLEARLY, DEPENDENT, EPS, ESTIMATES, PROJECTION, UNFELT
 from prioritized_ik.validation import Array, length, lengths, read_only, size
 
 
@@ -24,6 +24,32 @@ class Range:
     felt: Array
     unfelt: Array
     q: Array | None
+
+    @cached_property
+    def whitened(self) -> tuple[Array, Array]:
+        """Directions `(m, v)` in which a level's cost is ‖·‖², and their lengths; those not felt are there at `UNFELT`."""
+        return self._with_unfelt(self._unfelt_length)
+
+    @property
+    def weakly_whitened(self) -> tuple[Array, Array]:
+        """The same; those not felt are as little felt as the weakest one that is."""
+        return self._with_unfelt(max(self._felt_lengths.max(initial=0.0), self._unfelt_length))
+
+    @cached_property
+    def _felt_lengths(self) -> Array:
+        return lengths(self.felt.T)
+
+    @property
+    def _unfelt_length(self) -> float:
+        return (float(self._felt_lengths.min()) if len(self._felt_lengths) else 1.0) / UNFELT
+
+    def _with_unfelt(self, size: float) -> tuple[Array, Array]:
+        if not self.unfelt.shape[1]:
+            return self.felt, self._felt_lengths
+        basis = np.concatenate([self.felt, self.unfelt * size], axis=1)
+        sizes = np.empty(basis.shape[1])
+        sizes[: len(self._felt_lengths)], sizes[len(self._felt_lengths) :] = self._felt_lengths, size
+        return basis, sizes
 
     def project(self, rows: Array) -> Array:
         """Return `rows` `(p,)`, something counted in the rows' own coordinates, in y `(r,)`."""
@@ -161,16 +187,15 @@ def pseudoinverse(rows: Array) -> Array:
 def about_largest(matrix: Array) -> float:
     """Return about the largest singular value of a matrix `(k, m)`, by iteration from its longest row; 1 if it is zero."""
     sizes = lengths(matrix)
-    if not sizes.any():
+    if not np.count_nonzero(sizes):
         return 1.0
     longest = int(sizes.argmax())
-    direction, largest = matrix[longest] / sizes[longest], 0.0
-    for _ in range(ESTIMATES):
+    direction = matrix[longest] / sizes[longest]
+    for _ in range(ESTIMATES - 1):
         image = matrix @ direction
-        largest = length(image)
-        direction = (image / largest) @ matrix
+        direction = (image / length(image)) @ matrix
         direction /= length(direction)
-    return largest
+    return length(matrix @ direction)
 
 
 def upper_triangle(matrix: Array) -> Array:
