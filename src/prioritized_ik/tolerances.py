@@ -101,6 +101,11 @@ FLOOR = ROUNDING / CERTIFIED
 ITERATIONS = 60
 ROWS_PER_SEARCH = 24
 
+#: [–] Sets visited from the rows of the last step before these are given up for a search from nothing: so many, and one
+#: more for so many rows. Where a winding's contacts change up to 40 sets lead on, which take ten times as long.
+LEAST_SETS = 2
+ROWS_PER_SET = 2
+
 #: [–] Attempts to mend a step that is off by rounding.
 REFINEMENTS = 3
 

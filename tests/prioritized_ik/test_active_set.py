@@ -25,7 +25,7 @@ from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.lexicographic import SolveOptions
 from prioritized_ik.solvers.registry import get_method
 from prioritized_ik.solvers.stagewise import stagewise
-from prioritized_ik.tolerances import CERTIFIED, GUESS, UNDECIDED
+from prioritized_ik.tolerances import CERTIFIED, GUESS, LEAST_SETS, ROWS_PER_SET, UNDECIDED
 from prioritized_ik.winding.episode import wind
 from prioritized_ik.winding.settings import WindingSettings
 
@@ -467,18 +467,39 @@ def test_a_robot_pressed_against_a_wall_keeps_its_step_certified_once_it_rests()
             assert pressed @ step.dtheta <= side + 1e-16
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_guess_that_is_far_off_leads_to_the_optimum_of_many_rows_too(seed: int) -> None:
+def far_off(seed: int) -> tuple[IKProblem, Active]:
+    """A problem of many rows, and a guess that has little to do with it."""
     rng = np.random.default_rng(seed)
     m, r = 30, 150
     rows = Rows(rng.normal(size=(r, m)), 0.3 * np.abs(rng.normal(size=r)))
     levels = [Level(rng.normal(size=(6, m)), 5.0 * rng.normal(size=6)), Level(np.eye(m), 3.0 * rng.normal(size=m))]
-    hierarchy = Hierarchy(IKProblem(levels, rows=rows))
     guess = np.zeros(r, dtype=bool)
     guess[rng.choice(r, m // 2, replace=False)] = True
+    return IKProblem(levels, rows=rows), guess
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_guess_that_is_far_off_leads_to_the_optimum_of_many_rows_too(seed: int) -> None:
+    problem, guess = far_off(seed)
+    hierarchy = Hierarchy(problem)
     solution = active_set.solve(hierarchy, guess, hierarchy.start)
     assert solution.converged
     assert solution.iterations > active_set.ITERATIONS  # as many as for few rows would not do
+
+
+@pytest.mark.usefixtures("python_path")
+@pytest.mark.parametrize("seed", range(4))
+def test_rows_of_the_last_step_that_lead_far_are_given_up_for_a_search_from_nothing(seed: int, monkeypatch) -> None:
+    problem, guess = far_off(seed)
+    own, faces = get_method("active-set"), Mock(side_effect=face_solution)
+    own._memory.remember([problem.rows.names[i] for i in np.flatnonzero(guess)])
+    monkeypatch.setattr(active_set, "face_solution", faces)
+    fresh = get_method("active-set").step(problem)
+    from_nothing_alone = faces.call_count
+    step = own.step(problem)
+    assert faces.call_count - 2 * from_nothing_alone == LEAST_SETS + np.count_nonzero(guess) // ROWS_PER_SET
+    assert bits(step.dtheta) == bits(fresh.dtheta)
+    assert step.certificate == fresh.certificate
 
 
 @pytest.mark.parametrize(("weights", "first"), [("eq23", 70), ("eq24", 372)])

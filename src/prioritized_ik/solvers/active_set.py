@@ -60,10 +60,11 @@ def guessed(hierarchy: Hierarchy, u: Array) -> Active:
     return hierarchy.rows.slack(u) <= GUESS * hierarchy.scale(u)
 
 
-def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
+def solve(hierarchy: Hierarchy, active: Active, origin: Array, patience: int | None = None) -> Solution:
     """Return the optimum that the `active` rows `(r,)` lead to, moving from `origin` `(m,)`.
 
-    No set is visited twice: where the rule would return to one, the next best row is dropped.
+    No set is visited twice: where the rule would return to one, the next best row is dropped. At most so many sets are
+    visited as `patience` says, or as many as any guess may need.
     """
     rows, u, visited = hierarchy.rows, origin, set[bytes]()
     trace: list[tuple[str, tuple[str, ...]]] = []
@@ -75,7 +76,7 @@ def solve(hierarchy: Hierarchy, active: Active, origin: Array) -> Solution:
     def note(what: str, changed: Active) -> None:
         trace.append((what, tuple(rows.names[i] for i in np.flatnonzero(changed))))
 
-    for iterations in range(ITERATIONS * max(1, len(rows.upper) // ROWS_PER_SEARCH)):
+    for iterations in range(patience or ITERATIONS * max(1, len(rows.upper) // ROWS_PER_SEARCH)):
         visited.add(active.tobytes())
         target = face_solution(hierarchy, active)
         if not np.isfinite(target).all():

@@ -79,9 +79,9 @@ class Balance:
         """What rows of unit length pull, together."""
         return float(np.abs(self.pulls).sum())
 
-    def turned(self, sizes: Array, turns: Array) -> Array:
-        """Return the rounding `(v,)` where coordinates of such `sizes` can be off by such angles."""
-        return self.rounding + sizes * turns * self.pulled if self.pulled else self.rounding
+    def turned(self, off: Array) -> Array:
+        """Return the rounding `(v,)` where coordinates can be `off` by so much `(v,)`: their sizes times angles."""
+        return self.rounding + off * self.pulled if self.pulled else self.rounding
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,16 @@ from prioritized_ik.solvers.stagewise import stagewise
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.solvers.subspaces import directions_left
 from prioritized_ik.solvers.tree.step import KINEMATICS, is_worthwhile, tree_step
-from prioritized_ik.tolerances import ACCEPTED_VIOLATION, FREE, NARROW, SETTLED_FOR_SOLVERS, TIGHT, WEAK
+from prioritized_ik.tolerances import (
+    ACCEPTED_VIOLATION,
+    FREE,
+    LEAST_SETS,
+    NARROW,
+    ROWS_PER_SET,
+    SETTLED_FOR_SOLVERS,
+    TIGHT,
+    WEAK,
+)
 from prioritized_ik.validation import Array, fraction, non_negative, one_of, tolerance_above_rounding
 
 
@@ -258,7 +267,8 @@ def _by_active_set(hierarchy: Hierarchy, memory: RowMemory) -> Solution:
     """Return what the kernel makes of the rows of the last step; failing that, of a guess from nothing."""
     guess = memory.guess(hierarchy)
     if guess.any():
-        solution = active_set.solve(hierarchy, guess, hierarchy.start)
+        patience = LEAST_SETS + int(np.count_nonzero(guess)) // ROWS_PER_SET
+        solution = active_set.solve(hierarchy, guess, hierarchy.start, patience)
         if solution.converged:
             memory.remember(_named(hierarchy, solution.active))
             return solution

@@ -118,12 +118,12 @@ class Looks:
         basis, sizes = shortfall.felt.whitened
         # A level's strong rows, far from what they ask for, leave rounding in its weak directions.
         leaks = EPS * asked.follows * math.sqrt(asked.cost) * float(sizes[: felt.shape[1]].max(initial=0.0))
-        turns, turn_as_given = self._turns(number, felt.shape[1], len(sizes))
+        off, turn_as_given = self._turned(number, felt.shape[1], sizes)
         gradient, blur = _gradient(shortfall, sizes, unit)
         lacking = np.where(np.abs(gradient) > blur, gradient, 0.0)  # rows have not to balance rounding
-        little = np.zeros(len(sizes)) if whole else sizes * turns
+        little = np.zeros(len(sizes)) if whole else off
         balance = balanced(self.rows[asked.near], basis, lacking, asked.held, little, unit, blur)
-        rounding = blur + balance.turned(sizes, turns) + 0.5 * asked.steepness * turn_as_given * sizes
+        rounding = blur + balance.turned(off) + 0.5 * asked.steepness * turn_as_given * sizes
         feigned = max(length(sizes * rounding), leaks)
         return self._look(asked, balance, gradient, basis, sizes, rounding, feigned, length(blur), feigned), leaks
 
@@ -132,7 +132,7 @@ class Looks:
         level, shortfall, number = asked.level, asked.shortfall, asked.number
         felt = shortfall.felt.felt.shape[1]
         basis, sizes = shortfall.felt.whitened if level.is_soft else shortfall.felt.weakly_whitened
-        turns, turn_as_given = self._turns(number, felt, len(sizes), closer=True)
+        off, turn_as_given = self._turned(number, felt, sizes, closer=True)
         solved = self._hierarchy.cut_problem.levels[number] if self._hierarchy.is_cut(number) else level
         directions = self._directions(solved, shortfall, basis, number)
         rounded, blur = _gradient(shortfall, sizes, ROUNDING)
@@ -141,8 +141,8 @@ class Looks:
             own, blur[:felt] = exact_gradient(solved, directions[:, :felt], self._u)
             gradient = own.padded(len(sizes))
         lacking = gradient.where(np.abs(gradient.high) > blur)
-        balance = exactly_balanced(self._exact_rows(asked.near), directions, lacking, asked.held, sizes * turns)
-        rounding = blur + balance.turned(sizes, turns) + 0.5 * asked.steepness * turn_as_given * sizes
+        balance = exactly_balanced(self._exact_rows(asked.near), directions, lacking, asked.held, off)
+        rounding = blur + balance.turned(off) + 0.5 * asked.steepness * turn_as_given * sizes
         explained = length(sizes * rounding)
         return self._look(asked, balance, gradient.high, basis, sizes, rounding, explained, of_step, feigned)
 
@@ -199,9 +199,10 @@ class Looks:
         """Return how large a multiplier of each row `(t,)` half a unit in the last place of what is given can make."""
         if not np.count_nonzero(balance.multipliers):
             return np.zeros(len(balance.multipliers))
-        turns = np.empty(len(sizes))
-        turns[:felt], turns[felt:] = (self._hierarchy.turned_as_given(n) for n in (number - 1, number))
-        return np.abs(balance.normals) @ balance.turned(sizes, turns)
+        off = sizes.copy()
+        off[:felt] *= self._hierarchy.turned_as_given(number - 1)
+        off[felt:] *= self._hierarchy.turned_as_given(number)
+        return np.abs(balance.normals) @ balance.turned(off)
 
     def _exact_rows(self, near: NDArray[np.int_]) -> DoubleDouble:
         """Return the rows `near` `(t, m)` as they are given, of any length, without what is settled of them."""
@@ -211,8 +212,8 @@ class Looks:
             exact = exact.replaced(numbers, less)
         return exact[near]
 
-    def _turns(self, number: int, felt: int, count: int, *, closer: bool = False) -> tuple[Array, float]:
-        """Return how far off a level's directions `(v,)` can be, the first so many felt, for rows; and for levels above.
+    def _turned(self, number: int, felt: int, sizes: Array, *, closer: bool = False) -> tuple[Array, float]:
+        """Return how far off coordinates of such `sizes` `(v,)` can be, the first so many felt; and levels above, an angle.
 
         What a level does not feel is as far off as it is weak.
         """
@@ -224,9 +225,10 @@ class Looks:
             decided = self._hierarchy.decided
             above, as_given = (min(blur, decided.turn(1 + number)) for blur in (above, as_given))
             own = min(own, decided.turn(2 + number))
-        turns, whatever = np.empty(count), above + PROJECTION * (FINEST if closer else EPS)
-        turns[:felt], turns[felt:] = whatever, max(whatever, own)
-        return turns, as_given
+        off, least = sizes.copy(), above + PROJECTION * (FINEST if closer else EPS)
+        off[:felt] *= least
+        off[felt:] *= max(least, own)
+        return off, as_given
 
 
 def _gradient(shortfall: Shortfall, sizes: Array, unit: float) -> tuple[Array, Array]:
