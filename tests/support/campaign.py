@@ -1021,7 +1021,7 @@ def _dot(row: Array, x: exact.Vector) -> Fraction:
 SHORTEST = 2.0**-44  # of the longest row; the library takes what is 64 units in the last place of it for rounding
 BELOW = ("free", "hold")
 FEATURES = (_with_metric, _with_damping, _with_reference, _scaled, _with_rows_nearly_parallel, _with_bounds_near)
-MIXABLE = [name for name in KINDS if name not in ("infeasible", "mixed")]
+MIXABLE = [name for name in KINDS if name not in ("infeasible", "mixed")]  # those above: one more would change all draws
 
 
 # The judge.
@@ -1132,7 +1132,7 @@ def _longest(clean: exact.ExactProblem, measure: Measure) -> float:
     lengths = [
         abs(float(b)) / size
         for level in clean.every_level
-        for row, b in zip(level.matrix, level.target, strict=True)
+        for row, b in zip(level.matrix, level.asked or level.target, strict=True)
         if (size := measure.row_length(row))
     ]
     return max(lengths)

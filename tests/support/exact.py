@@ -21,12 +21,16 @@ Integers = list[int]
 
 @dataclass(frozen=True)
 class ExactLevel:
-    """Rows A, targets b and weights of one level; `soft` counts only what A x exceeds b by."""
+    """Rows A, targets b and weights of one level; `soft` counts only what A x exceeds b by.
+
+    A damped level that hands its optimum down has what that reaches for a target; what it asks for itself is `asked`.
+    """
 
     matrix: list[Vector]
     target: Vector
     weights: Vector
     soft: bool = False
+    asked: Vector | None = None
 
     def residual(self, x: Sequence[Fraction]) -> Vector:
         """Return A x - b; of a soft level only what is above zero."""
@@ -96,7 +100,7 @@ class ExactProblem:
         reached = optimum(replace(self, levels=[*self.levels, damped]))
         if reached is None:
             return level
-        return replace(level, target=[_dot(row, reached.x) for row in level.matrix])
+        return replace(level, target=[_dot(row, reached.x) for row in level.matrix], asked=level.target)
 
     @property
     def joint_count(self) -> int:
