@@ -1,6 +1,7 @@
 """What the arm feels: distances to the object, contact vectors, and contact with hysteresis.
 
-Everything is read from MuJoCo's collision detection; nothing here knows the object's size, shape or place.
+This is the sensor: whoever controls the arm gets its readings, and never the object's size, shape or place. Distances are
+MuJoCo's, and beside a cylinder, where that would iterate, those of lines.
 """
 
 from collections.abc import Sequence
@@ -18,6 +19,8 @@ from prioritized_ik.virtual_arms import object_id
 REACH = 10.0  # [m]
 OBJECT = "object"  # what a winding's object is called
 _CAPSULE, _SPHERE = int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_SPHERE)
+_CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
+ASKEW = 1e-4  # square of the sine of the angle between a link and a cylinder from which on one point of the link is nearest
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,8 @@ class TouchSensor:
         model: the MuJoCo model.
         links, object: numbers of the geoms.
         object_name: what the object's geom is called; contact rows are named by it.
-        half_lengths: of the links' cores `(n,)` [m].
+        half_lengths, radii: of the links, of their cores and around them `(n,)` [m].
+        cylinder: radius and half height of the object [m] if it is a cylinder, or None.
         reach: see above.
         jacobians: of points on the links, base first, then of points on the object.
         object_moves: whether a joint moves the object.
@@ -87,25 +91,53 @@ class TouchSensor:
         self._is_capsule = model.geom_type[self.links] == _CAPSULE
         self._last: Array | None = None  # distances of the reading before
         self._approach: float | None = None
-        self.half_lengths = np.where(self._is_capsule, model.geom_size[self.links, 1], 0.0)  # (n,) [m]
+        self.half_lengths = np.where(self._is_capsule, model.geom_size[self.links, 1], 0.0)
+        self.radii = model.geom_size[self.links, 0]
+        is_cylinder = model.geom_type[self.object] == _CYLINDER
+        self.cylinder: tuple[float, float] | None = (
+            tuple(model.geom_size[self.object, :2].tolist()) if is_cylinder else None
+        )
 
     def read(self, data: mujoco.MjData) -> Touch:
         """Return the reading at the current positions of `data`. Needs `mj_kinematics`."""
         n = len(self.links)
-        segments = np.empty((n, 6))  # from the nearest point on each link to that on the object
-        pairs = zip(self.links.tolist(), segments, strict=True)
-        measured = [mujoco.mj_geomDistance(self.model, data, geom, self.object, self.reach, to) for geom, to in pairs]
-        distance, point = np.array(measured), segments[:, :3].copy()
-        # The normal runs from the surface point to the capsule's core, a radius away: well defined at zero distance,
-        # where the segment between the two nearest points is not.
         centre = data.geom_xpos[self.links]
         axis = data.geom_xmat[self.links].reshape(n, 3, 3)[:, :, 2]
+        distance, point, is_known = self._beside_cylinder(data, centre, axis)
+        segment = np.empty(6)  # from the nearest point on a link to that on the object
+        for i in np.flatnonzero(~is_known).tolist():
+            distance[i] = mujoco.mj_geomDistance(self.model, data, int(self.links[i]), self.object, self.reach, segment)
+            point[i] = segment[:3]
+        # The normal runs from the surface point to the capsule's core, a radius away: well defined at zero distance,
+        # where the segment between the two nearest points is not.
         along = np.vecdot(point - centre, axis)
         along = np.minimum(np.maximum(along, -self.half_lengths), self.half_lengths)
         inward = centre + along[:, None] * axis - point
         size = np.sqrt((inward * inward).sum(axis=1))
         size[distance >= self.reach] = np.inf
         return Touch(distance, inward / size[:, None], point, self._approached(distance))
+
+    def _beside_cylinder(self, data: mujoco.MjData, centre: Array, axis: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return distances, nearest points on the links, and where these are known, by links' `centre` and `axis` `(n, 3)`.
+
+        They are where the object is a cylinder, and one point of the link's core is nearest to the cylinder's axis, outside
+        the cylinder and between its ends: no point of the core is nearer to the cylinder then.
+        """
+        n = len(self.links)
+        if self.cylinder is None:
+            return np.empty(n), np.empty((n, 3)), np.zeros(n, dtype=bool)
+        radius, half_height = self.cylinder
+        turn = data.geom_xmat[self.object].reshape(3, 3)
+        start, direction = (centre - data.geom_xpos[self.object]) @ turn, axis @ turn  # in the cylinder's axes
+        askew = np.vecdot(direction[:, :2], direction[:, :2])
+        along = -np.vecdot(start[:, :2], direction[:, :2]) / np.maximum(askew, ASKEW)
+        along = np.minimum(np.maximum(along, -self.half_lengths), self.half_lengths)
+        core = start + along[:, None] * direction
+        off_axis = np.hypot(core[:, 0], core[:, 1])
+        is_known = ((askew >= ASKEW) | ~self._is_capsule) & (np.abs(core[:, 2]) <= half_height) & (off_axis > radius)
+        outward = core[:, :2] / np.where(is_known, off_axis, 1.0)[:, None]
+        point = centre + along[:, None] * axis - self.radii[:, None] * (outward @ turn[:, :2].T)
+        return np.minimum(off_axis - radius - self.radii, self.reach), point, is_known
 
     def _approached(self, distance: Array) -> float | None:
         """Return the most that a link came nearer from one reading to the next, this one included."""

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from tolerances import DISTANCE, NORMAL, ROUNDING
+from tolerances import DISTANCE, NORMAL, ROUNDING, SABOTAGE
 
 from prioritized_ik.errors import InputError, ModelError
 from prioritized_ik.models import DIRECTIONS, Arm, WindingObject, update_kinematics, winding_model
@@ -114,6 +114,85 @@ def test_spheres_serve_as_links() -> None:
     assert touch.distance[0] == pytest.approx(0.15, abs=DISTANCE)
     assert np.abs(touch.normal[0] - [0.0, 0.0, 1.0]).max() < NORMAL
     assert np.abs(touch.point[0] - [0.0, 0.0, 0.25]).max() < DISTANCE
+
+
+# Beside a cylinder: closed form, held to a convex minimum along the link's core, and elsewhere to MuJoCo
+
+
+CYLINDER = (0.07, 0.2)
+
+
+def scattered_links(seed: int, *, shape: str = "capsule", count: int = 60) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Links at random places around a tilted cylinder: beside it, at its edges, inside, along it and across it."""
+    rng = np.random.default_rng(seed)
+    spec = mujoco.MjSpec()
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    place = rng.uniform(-0.3, 0.3, 3)
+    wound = WindingObject("cylinder", CYLINDER, place, turn)
+    wound.add_to(spec)
+    for number in range(count):
+        around, gap, height = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-0.06, 0.1), rng.uniform(-1.3, 1.3)
+        across = np.array([np.cos(around), np.sin(around), 0.0])
+        centre = place + turn @ (across * (CYLINDER[0] + gap) + [0.0, 0.0, height * CYLINDER[1]])
+        along = [rng.normal(size=3), [0.0, 0.0, 1.0] + 10.0 ** rng.uniform(-9, -1) * rng.normal(size=3)][number % 2]
+        body = spec.worldbody.add_body(name=f"body_{number}", pos=centre)
+        kind = mujoco.mjtGeom.mjGEOM_CAPSULE if shape == "capsule" else mujoco.mjtGeom.mjGEOM_SPHERE
+        quat = np.zeros(4)
+        mujoco.mju_quatZ2Vec(quat, turn @ (along / np.linalg.norm(along)))
+        body.add_geom(name=f"link_{number}", type=kind, size=[0.01, 0.03, 0.0], quat=quat)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return model, data
+
+
+def off_cylinder(model: mujoco.MjModel, data: mujoco.MjData, points: np.ndarray) -> np.ndarray:
+    """Distances of points `(..., 3)` from the solid cylinder."""
+    turn = data.geom("object").xmat.reshape(3, 3)
+    own = (points - data.geom("object").xpos) @ turn
+    beside = np.maximum(np.hypot(own[..., 0], own[..., 1]) - CYLINDER[0], 0.0)
+    return np.hypot(beside, np.maximum(np.abs(own[..., 2]) - CYLINDER[1], 0.0))
+
+
+@pytest.mark.parametrize("shape", ["capsule", "sphere"])
+@pytest.mark.parametrize("seed", range(4))
+def test_links_around_a_cylinder_are_as_far_as_their_cores(seed: int, shape: str) -> None:
+    model, data = scattered_links(seed, shape=shape)
+    sensor = TouchSensor(model, [f"link_{i}" for i in range(60)])
+    touch = sensor.read(data)
+    known = sensor._beside_cylinder(
+        data, data.geom_xpos[sensor.links], data.geom_xmat[sensor.links].reshape(-1, 3, 3)[:, :, 2]
+    )[2]
+    assert 15 <= known.sum() <= 50
+    for i, geom in enumerate(sensor.links):
+        centre, axis = data.geom_xpos[geom], data.geom_xmat[geom].reshape(3, 3)[:, 2]
+        low, high = -sensor.half_lengths[i], sensor.half_lengths[i]
+        for _ in range(100):  # a convex function, by thirds
+            third = (high - low) / 3.0
+            one, other = off_cylinder(model, data, centre + np.outer([low + third, high - third], axis))
+            low, high = (low, high - third) if one <= other else (low + third, high)
+        apart = off_cylinder(model, data, centre + low * axis)
+        if known[i]:
+            assert apart > 0.0
+            assert touch.distance[i] == pytest.approx(apart - 0.01, abs=ROUNDING)
+            assert np.linalg.norm(touch.normal[i]) == pytest.approx(1.0, abs=ROUNDING)
+            # from the nearest point on the link, along the normal, it is as far to the surface as the distance says
+            assert off_cylinder(model, data, touch.point[i] + 0.01 * touch.normal[i]) == pytest.approx(apart, abs=ROUNDING)
+            nearer = off_cylinder(model, data, touch.point[i] + (0.01 - apart / 2.0) * touch.normal[i])
+            assert nearer == pytest.approx(apart / 2.0, abs=ROUNDING)
+        elif apart > 0.01:
+            assert touch.distance[i] == pytest.approx(apart - 0.01, abs=DISTANCE)
+        else:
+            assert touch.distance[i] < 10.0 * DISTANCE
+
+
+def test_a_distance_to_a_cylinder_that_ends_before_the_link_is_not_that_of_lines() -> None:
+    model, data = scattered_links(7)
+    sensor = TouchSensor(model, [f"link_{i}" for i in range(60)])
+    right = sensor.read(data).distance
+    sensor.cylinder = (CYLINDER[0], 10.0)  # sabotage: it does not end
+    assert (sensor.read(data).distance < right - SABOTAGE).any()
 
 
 # Contact with hysteresis

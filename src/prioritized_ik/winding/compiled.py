@@ -18,7 +18,7 @@ from prioritized_ik.mujoco_functions import mujoco_functions
 from prioritized_ik.packed import Layout, PackedProblem
 from prioritized_ik.problem import Bounds, IKProblem, Rows, trusted
 from prioritized_ik.solvers.compiled.library import library
-from prioritized_ik.touch import TouchSensor
+from prioritized_ik.touch import ASKEW, TouchSensor
 from prioritized_ik.validation import LARGEST, Array
 from prioritized_ik.virtual_arms import VirtualArms
 from prioritized_ik.winding.settings import Control
@@ -56,7 +56,7 @@ class Scene(ctypes.Structure):
             (name, ctypes.c_double)
             for name in (
                 *("reach", "contact_distance", "release_distance", "stride", "dead_band", "margin", "min_distance"),
-                *("gain", "max_step", "outside", "largest"),
+                *("gain", "max_step", "outside", "largest", "cylinder_radius", "cylinder_half_height", "askew"),
             )
         ]
         + [
@@ -64,7 +64,7 @@ class Scene(ctypes.Structure):
             for name in (
                 *("model", "data", "kinematics", "com_pos", "geom_distance"),
                 *("geoms", "bodies", "roots", "end_bodies", "end_roots", "range_dofs", "range_places"),
-                *("moves", "end_moves", "offsets", "half_lengths", "radii", "box", "range_low", "range_high"),
+                *("moves", "end_moves", "offsets", "half_lengths", "radii", "spheres", "box", "range_low", "range_high"),
                 *("qpos", "xpos", "xmat", "geom_xpos", "geom_xmat", "cdof", "subtree_com"),
                 *("q", "was_in_contact"),
                 *("end_points", "directions", "distance", "normal", "point", "contact_vectors", "desired", "signs"),
@@ -116,6 +116,7 @@ class CompiledLook:
         self._near = np.zeros(n, dtype=np.int32)
         self._joint_names = joint_names(model)
         self._wound = sensor.object_name
+        radius, half_height = sensor.cylinder or (np.inf, 0.0)  # no link is beside that
         none = np.zeros(0, dtype=np.uint8)
         kept: dict[str, NDArray[Any]] = {
             "geoms": np.array(sensor.links, dtype=np.int32),
@@ -129,7 +130,8 @@ class CompiledLook:
             "end_moves": arms.jacobians.moving.astype(np.uint8) if poses else none,
             "offsets": np.array(arms.offsets),
             "half_lengths": np.array(sensor.half_lengths),
-            "radii": model.geom_rbound[sensor.links],
+            "radii": sensor.radii,
+            "spheres": model.geom_rbound[sensor.links],
             "box": _box_around(model, sensor.object),
             "range_low": low,
             "range_high": high,
@@ -161,6 +163,9 @@ class CompiledLook:
             max_step=settings.max_step,
             outside=OUTSIDE,
             largest=LARGEST,
+            cylinder_radius=radius,
+            cylinder_half_height=half_height,
+            askew=ASKEW,
             model=model._address,
             data=data._address,
             **{name: functions[name] for name in _FUNCTIONS},

@@ -14,6 +14,7 @@ namespace prioritized_ik {
 struct Scene {
     int32_t links, joints, positions, object, ranges;
     double reach, contact_distance, release_distance, stride, dead_band, margin, min_distance, gain, max_step, outside, largest;
+    double cylinder_radius, cylinder_half_height, askew;
     const void* model;
     void* data;
     void (*kinematics)(const void*, void*);
@@ -22,7 +23,7 @@ struct Scene {
     // of the model, by link
     const int32_t *geoms, *bodies, *roots, *end_bodies, *end_roots, *range_dofs, *range_places;
     const uint8_t *moves, *end_moves;
-    const double *offsets, *half_lengths, *radii, *box, *range_low, *range_high;
+    const double *offsets, *half_lengths, *radii, *spheres, *box, *range_low, *range_high;
     // of the state
     double* qpos;
     const double *xpos, *xmat, *geom_xpos, *geom_xmat, *cdof, *subtree_com;
@@ -105,15 +106,46 @@ class Look {
             const double gap = max(abs(along) - s.box[3 + k], 0.0);
             square += gap * gap;
         }
-        return sqrt(square) > s.radii[i] + s.reach + SURE;
+        return sqrt(square) > s.spheres[i] + s.reach + SURE;
+    }
+
+    // Whether the object is a cylinder and link i beside it, and if so, its distance and nearest point, as in TouchSensor.
+    bool beside_cylinder(int i, double* point) const {
+        const double *link = s.geom_xpos + 3 * s.geoms[i], *axis = s.geom_xmat + 9 * s.geoms[i] + 2;
+        const double *place = s.geom_xpos + 3 * s.object, *turn = s.geom_xmat + 9 * s.object;
+        const double half_length = s.half_lengths[i];
+        double start[3], direction[3], core[3];
+        for (int k = 0; k < 3; k++) {
+            start[k] = direction[k] = 0.0;
+            for (int j = 0; j < 3; j++) {
+                start[k] += turn[3 * j + k] * (link[j] - place[j]);
+                direction[k] += turn[3 * j + k] * axis[3 * j];
+            }
+        }
+        const double askew = direction[0] * direction[0] + direction[1] * direction[1];
+        const double nearest = -(start[0] * direction[0] + start[1] * direction[1]) / max(askew, s.askew);
+        const double along = min(max(nearest, -half_length), half_length);
+        for (int k = 0; k < 3; k++) core[k] = start[k] + along * direction[k];
+        const double off_axis = sqrt(core[0] * core[0] + core[1] * core[1]);
+        const bool is_unique = askew >= s.askew || half_length == 0.0;
+        if (!(is_unique && abs(core[2]) <= s.cylinder_half_height && off_axis > s.cylinder_radius)) return false;
+        s.distance[i] = min(off_axis - s.cylinder_radius - s.radii[i], s.reach);
+        const double inwards = s.radii[i] / off_axis;
+        for (int k = 0; k < 3; k++) {
+            const double outward = turn[3 * k] * core[0] + turn[3 * k + 1] * core[1];
+            point[k] = link[k] + along * axis[3 * k] - inwards * outward;
+        }
+        return true;
     }
 
     // As TouchSensor.read.
     void touch(int i) const {
         double segment[6], *point = s.point + 3 * i, *normal = s.normal + 3 * i, axis[3], inward[3];
         s.distance[i] = s.reach;
-        if (is_far(i)) clear(segment, 6);  // as MuJoCo does
-        else s.distance[i] = s.geom_distance(s.model, s.data, s.geoms[i], s.object, s.reach, segment);
+        if (!beside_cylinder(i, segment)) {
+            if (is_far(i)) clear(segment, 6);  // as MuJoCo does
+            else s.distance[i] = s.geom_distance(s.model, s.data, s.geoms[i], s.object, s.reach, segment);
+        }
         copy(segment, point, 3);
         const double *centre = s.geom_xpos + 3 * s.geoms[i], *turn = s.geom_xmat + 9 * s.geoms[i];
         double along = 0.0;
