@@ -15,7 +15,7 @@ an infinite side.
 """
 
 from prioritized_ik.errors import InputError
-from prioritized_ik.packed import Layout, PackedProblem
+from prioritized_ik.packed import Layout
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.compiled import fast
 from prioritized_ik.validation import Array
@@ -92,7 +92,7 @@ class LiveProblem:
         Raises:
             InputError: a number that no problem may hold, as `IKProblem` would say.
         """
-        frozen = PackedProblem(self._layout, self._numbers.copy())
+        frozen = self._layout.problem(self._numbers)
         if not fast.is_sound(frozen):
             _check(frozen)
         return frozen

@@ -1,5 +1,6 @@
 """A problem whose numbers stand in one array: what a `LiveProblem` hands out, and what the compiled core reads as it is."""
 
+import ctypes
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
 from typing import Any, NamedTuple
@@ -54,10 +55,15 @@ class Layout:
         self._pattern_parts = parts = Parts.of(pattern)
         self._shapes = [part.shape for part in parts]
         self._places = _in_succession([part.size for part in parts])
+        self._memory: Any = ctypes.c_double * sum(part.size for part in parts)
 
     def packed(self) -> Array:
         """Return the numbers of the pattern in one array."""
         return np.concatenate([part.ravel() for part in self._pattern_parts])
+
+    def problem(self, numbers: Array) -> "PackedProblem":
+        """Return the problem with numbers such as `packed` returns, which are copied."""
+        return PackedProblem(self, self._memory.from_buffer_copy(numbers))
 
     def parts(self, numbers: Array) -> Parts:
         """Return views of an array of numbers."""
@@ -73,9 +79,9 @@ def _in_succession(counts: Sequence[int]) -> list[slice]:
 class PackedProblem(IKProblem):
     """A problem as `Layout` packs it; its parts are made when looked at.
 
-    Attributes:
+    Args:
         layout: see there.
-        numbers: all of them, not to be written.
+        memory: all numbers, an array of ctypes, which the compiled core reads where it is; not to be written.
     """
 
     levels: Any = Late()
@@ -86,11 +92,10 @@ class PackedProblem(IKProblem):
     metric: Any = Late()
     noise: Any = Late()
     layout: Layout
-    numbers: Array
+    memory: ctypes.Array[ctypes.c_double]
 
-    def __init__(self, layout: Layout, numbers: Array) -> None:
-        numbers.setflags(write=False)
-        self.__dict__.update(layout=layout, numbers=numbers)
+    def __init__(self, layout: Layout, memory: ctypes.Array[ctypes.c_double]) -> None:
+        self.__dict__.update(layout=layout, memory=memory)
 
     @property
     def pattern(self) -> IKProblem:
@@ -109,7 +114,9 @@ class PackedProblem(IKProblem):
 
     def late_fields(self) -> dict[str, Any]:
         """Return the fields that are made late."""
-        pattern, parts = self.layout.pattern, self.layout.parts(self.numbers)
+        numbers = np.ctypeslib.as_array(self.memory)
+        numbers.setflags(write=False)
+        pattern, parts = self.layout.pattern, self.layout.parts(numbers)
         levels = [
             trusted(
                 Level,

@@ -151,7 +151,7 @@ class TestMoreDigits:
         assert len(found) >= 0.95 * len(drawn)
         assert sum(step.status is StepStatus.SOLVED for step, _ in found) >= 0.5 * len(drawn)
         for step, best in found:
-            scale = step.written.figures[-2]  # of one level
+            scale = step.written.answer.all_figures(1)[-2]  # of one level
             off = np.linalg.norm([float(a - Fraction(b)) for a, b in zip(best.x, step.dtheta.tolist(), strict=True)])
             assert off <= (tolerances.CERTIFIED + step.certificate.variation) * scale
 

@@ -167,4 +167,4 @@ def test_a_solve_takes_the_numbers_as_they_are_without_parting_them():
     frozen = LiveProblem(fresh(numbers(0))).frozen()
     step = get_method("active-set").step(frozen)
     assert step.path == "compiled"
-    assert vars(frozen).keys() == {"layout", "numbers"}
+    assert vars(frozen).keys() == {"layout", "memory"}

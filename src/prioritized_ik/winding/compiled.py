@@ -37,11 +37,13 @@ _FUNCTIONS = ("kinematics", "com_pos", "geom_distance")  # of MuJoCo's
 
 _VECTORS = ("positions", "directions", "normal", "point", "contact_vectors", "desired")  # (n, 3) each
 _NUMBERS = ("distance", "signs")  # (n,) each
+_BOOL = np.dtype(bool)
 _SEEN = {"positions": "end_points"}  # where Scene has another name
 
 
-def parts_of(written: Array, links: int) -> dict[str, Array]:
+def parts_of(seen: bytes | NDArray[np.uint8], links: int) -> dict[str, Array]:
     """Return the arrays of a situation and its touch by name, as the core wrote them one after the other."""
+    written = np.frombuffer(seen, count=links * (3 * len(_VECTORS) + len(_NUMBERS)))
     end = 3 * links * len(_VECTORS)
     parts = dict(zip(_VECTORS, written[:end].reshape(-1, links, 3), strict=True))
     return parts | dict(zip(_NUMBERS, written[end:].reshape(-1, links), strict=True))
@@ -111,9 +113,11 @@ class CompiledLook:
         joints, dofs, places = limited_scalars(model)
         low, high = model.jnt_range[joints].T.copy()
         self._q, self._was = np.zeros(model.nq), np.zeros(n, dtype=bool)
-        self._written = np.zeros(n * (3 * len(_VECTORS) + len(_NUMBERS)))
-        self._touching, self._ends = np.zeros(n, dtype=bool), np.zeros(3, dtype=np.int32)
-        self._near = np.zeros(n, dtype=np.int32)
+        # One piece of memory, so that one copy keeps what is seen: vectors and numbers, links that are near, in contact.
+        self._near_at = 8 * n * (3 * len(_VECTORS) + len(_NUMBERS))
+        self._touching_at = self._near_at + 4 * n
+        self._seen = np.zeros(self._touching_at + n, dtype=np.uint8)
+        self._ends = np.zeros(3, dtype=np.int32)
         self._joint_names = joint_names(model)
         self._wound = sensor.object_name
         radius, half_height = sensor.cylinder or (np.inf, 0.0)  # no link is beside that
@@ -137,12 +141,12 @@ class CompiledLook:
             "range_high": high,
             "q": self._q,
             "was_in_contact": self._was,
-            "in_contact": self._touching,
+            "in_contact": self._seen[self._touching_at :],
             "ends": self._ends,
-            "near": self._near,
+            "near": self._seen[self._near_at : self._touching_at],
             "axes": np.zeros((6, m)),
         }
-        kept |= {_SEEN.get(name, name): part for name, part in parts_of(self._written, n).items()}
+        kept |= {_SEEN.get(name, name): part for name, part in parts_of(self._seen, n).items()}
         for name in ("qpos", "xpos", "xmat", "geom_xpos", "geom_xmat", "cdof", "subtree_com"):
             kept[name] = getattr(data, name)
         self._kept = model, data, kept  # whose memory the scene points to
@@ -185,10 +189,10 @@ class CompiledLook:
         if self._core_observe(self._at):
             return None
         first, last, count = self._ends.tolist()
-        touching = self._touching.copy()
-        touching.setflags(write=False)
-        near = self._near[:count].tobytes()
-        return {"in_contact": touching, "first": first, "last": last, "near": near, "written": self._written.copy()}
+        seen = self._seen.tobytes()
+        touching = np.frombuffer(seen, _BOOL, len(self._was), self._touching_at)
+        near = seen[self._near_at : self._near_at + 4 * count]
+        return {"in_contact": touching, "first": first, "last": last, "near": near, "written": seen}
 
     def pose(self, q: Array, to: Any) -> bool:
         """Write the problem at `q` where the arm was observed last to `Numbers`; False as None for `observe`."""
@@ -198,7 +202,7 @@ class CompiledLook:
     def posed(self, q: Array, near: bytes) -> tuple[Array, Array, Bounds, Rows] | None:
         """Return J `(3 n, m)`, dX_v* `(3 n,)`, bounds and the contact rows of the links `near`, as `pose` writes them."""
         links = np.frombuffer(near, dtype=np.int32).tolist()
-        n, m = len(self._touching), len(self._joint_names)
+        n, m = len(self._was), len(self._joint_names)
         matrix, target, bounds = np.zeros((3 * n, m)), np.zeros(3 * n), np.zeros((2, m))
         rows, sides = np.zeros((len(links), m)), np.zeros(len(links))
         if not self.pose(q, numbers_at(matrix, target, *bounds, rows, sides, np.arange(0, 3 * n, 3, dtype=np.int32))):
@@ -241,7 +245,7 @@ class PackedPose:
 
     def problem(self, q: Array) -> PackedProblem | None:
         """Return the problem at `q`, where the arm was observed last; None as for `CompiledLook.observe`."""
-        return PackedProblem(self._layout, self._numbers.copy()) if self._look.pose(q, self._to) else None
+        return self._layout.problem(self._numbers) if self._look.pose(q, self._to) else None
 
 
 def _box_around(model: mujoco.MjModel, geom: int) -> Array:

@@ -69,7 +69,7 @@ class SeenByCore(Situation):
 
     Attributes:
         near: the links with contact rows, as a key.
-        written: all arrays, one after the other, see `compiled.parts_of`.
+        written: all that the core wrote, the arrays first, see `compiled.parts_of`.
     """
 
     positions: Any = Late()
@@ -79,11 +79,10 @@ class SeenByCore(Situation):
     desired: Any = Late()
     signs: Any = Late()
     near: bytes
-    written: Array
+    written: bytes
 
     def late_fields(self) -> dict[str, Any]:
         """Return the fields that are made late."""
-        self.written.flags.writeable = False
         parts = parts_of(self.written, len(self.in_contact))
         touch = Touch(parts.pop("distance"), parts.pop("normal"), parts.pop("point"))
         return parts | {"touch": touch}

@@ -199,7 +199,7 @@ class Certified : public Extended {
         off_ = drawn + (excess > tol_.OFF * scale_ ? excess : 0.0);
         handed_ += excess;
         const double demand = max(last ? g.terms : max(block->demand, block->asked), max(sqrt(g.cost), tol_.LEAST_DEMAND * g.size));
-        double* figures = io.figures.data() + size_t(l) * FIGURES;
+        double* figures = io.figures + size_t(l) * FIGURES;
         const double moved = g.strength * carried_over;
         double steepness = g.steepness;  // rows follow what levels above move, too
         for (int i = 0; i < look.n; i++) steepness += 2.0 * abs(look.combination[i]) / look.sizes[i];

@@ -76,10 +76,11 @@ EXPORTED void core_arrays(Step* step, void** at) {
     *at++ = io.ends.data();
     *at++ = io.soft.data();
     *at++ = io.guess.data();
-    for (auto* array : {&io.dtheta, &io.figures, &io.multipliers}) *at++ = array->data();
-    *at++ = io.lists.data();
-    *at++ = io.kept.data();
-    *at++ = io.packed.data();
+    *at++ = io.multipliers.data();
+    *at++ = io.dtheta;
+    *at++ = io.figures;
+    *at++ = io.kept;
+    *at++ = io.lists;
 }
 
 // Says how much there is of everything in the problems that come next.
@@ -87,14 +88,16 @@ EXPORTED void core_size(Step* step, int levels, int level_rows, int rows, int eq
     step->size(Sizes{step->most.joints, levels, level_rows, rows, equalities});
 }
 
-// Reads a problem from the one array `packed`; whether its numbers are beyond doubt.
-EXPORTED int core_read(Step* step, double largest) {
-    return prioritized_ik::read_packed(step->io, step->now(), step->stride, largest);
+// Whether the numbers of a problem, in one array, are beyond doubt.
+EXPORTED int core_is_sound(const Step* step, const double* packed, double largest) {
+    return prioritized_ik::is_sound(packed, step->io, step->now(), largest);
 }
 
-// An `Ending`, and above its eight bits how much of the lists is written; -1 if memory runs out.
-EXPORTED int core_solve(Step* step, int question) {
+// An `Ending`, and above its eight bits how much of the lists is written; -1 if memory runs out. Of the problem that stands in
+// Exchange, or with the numbers `packed`.
+EXPORTED int core_solve(Step* step, int question, const double* packed) {
     try {
+        if (packed) prioritized_ik::read_packed(packed, step->io, step->now(), step->stride);
         const int ending = step->solve(prioritized_ik::Question(question));
         return ending | step->io.used << 8;
     } catch (const std::bad_alloc&) {

@@ -62,18 +62,18 @@ struct Exchange {
     std::vector<int32_t> ends;     // of the levels' rows
     std::vector<uint8_t> soft;     // whether a level is one of soft inequalities
     std::vector<uint8_t> guess;    // upper bounds, lower bounds, rows, rows of soft levels: a `Guess` each
-    std::vector<double> packed;    // all numbers of a problem in one array instead, see packed.hpp
     // out
-    std::vector<double> dtheta;
-    std::vector<double> figures;      // a level: gap, relative gap, stationarity, rounding; then violation, scale, costs
     std::vector<double> multipliers;  // in the order of the list that names them
+    std::vector<double> answer;       // what follows, one after the other
+    double *dtheta, *figures;         // of a level: gap, relative gap, stationarity, rounding; then violation, scale, costs
+    uint8_t* kept;                    // the rows that the step was computed from, as a guess for the next
     // First counts: corrections, faces, proofs, and the lengths of the lists that follow. Numbers of the rows that the step was
     // computed from, tight or exceeded, and of the hard rows it ends on; of rows that are rounding, the levels' first; of the
     // rows that hold a level, each after its level's number. Upper bounds come first, then lower bounds, rows, soft levels.
-    std::vector<int32_t> lists;
-    std::vector<uint8_t> kept;  // the rows that the step was computed from, as a guess for the next
-    int used = 0;               // of the lists
+    int32_t* lists;
+    int used = 0;  // of the lists
 
+    Exchange(const Exchange&) = delete;
     Exchange(const Sizes& most, size_t stride) {
         const size_t m = most.joints, all = 2 * m + most.rows + most.level_rows, levels = most.levels;
         matrix.resize(most.level_rows * stride);
@@ -88,12 +88,14 @@ struct Exchange {
         ends.resize(levels);
         soft.resize(levels);
         guess.resize(all);
-        kept.resize(all);
-        packed.resize(m * (most.level_rows + most.rows + most.equalities + 3) + 2 * most.level_rows + most.rows + most.equalities);
-        dtheta.resize(stride);
-        figures.resize(FIGURES * (levels + 1) + 2 + levels);
         multipliers.resize((levels + 1) * all);
-        lists.resize(COUNTS + 2 * all + most.level_rows + most.rows + 2 * (levels + 1) * all);
+        const size_t told = FIGURES * (levels + 1) + 2 + levels, guessed = all / sizeof(double) + 1;
+        const size_t listed = COUNTS + 2 * all + most.level_rows + most.rows + 2 * (levels + 1) * all;
+        answer.resize(stride + told + guessed + listed * sizeof(int32_t) / sizeof(double) + 1);
+        dtheta = answer.data();
+        figures = dtheta + stride;
+        kept = reinterpret_cast<uint8_t*>(figures + told);
+        lists = reinterpret_cast<int32_t*>(figures + told + guessed);
     }
 };
 

@@ -5,22 +5,12 @@ from itertools import compress
 from time import perf_counter
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from prioritized_ik.late import Late
 from prioritized_ik.packed import Layout, PackedProblem
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.certificate import Certificate
 from prioritized_ik.solvers.compiled.library import Ending, Question, library
-from prioritized_ik.solvers.compiled.workspace import (
-    COUNTS,
-    FIGURES,
-    Sizes,
-    Workspace,
-    workspace_for,
-    workspace_of,
-)
+from prioritized_ik.solvers.compiled.workspace import COUNTS, FIGURES, Answer, Sizes, Workspace, workspace_for, workspace_of
 from prioritized_ik.solvers.report import DeferredReports
 from prioritized_ik.solvers.step import JointStep, StepStatus, Timings
 from prioritized_ik.tolerances import NOISE
@@ -46,14 +36,14 @@ def is_sound(problem: PackedProblem) -> bool:
     if library().core is None or problem.pattern.metric.ndim == 2 or not len(problem.pattern.reference):
         return False
     workspace, sizes = workspace_of(problem.layout)
-    return workspace.read(problem.numbers, sizes)
+    return workspace.is_sound(problem, sizes)
 
 
 class Remembered(NamedTuple):
     """Which rows a step was computed from: of each of `names`, a byte that says so; and the `layout` if it was packed."""
 
     names: tuple[str, ...]
-    kept: bytes
+    kept: bytes | bytearray
     layout: Layout | None = None
 
     def named(self) -> tuple[str, ...]:
@@ -98,13 +88,12 @@ class CompiledStep(JointStep):
 
 
 class Written(NamedTuple):
-    """What the core wrote of a step, see exchange.hpp, and the names that it refers to."""
+    """What the core wrote of a step, and the names that it refers to."""
 
     problem: IKProblem
     rank_tolerance: float
     dtheta: Array
-    figures: Array
-    lists: NDArray[np.int32]
+    answer: Answer
     active: Remembered
     seconds: float
 
@@ -126,31 +115,30 @@ def compiled_step(
         method: name of who solves.
     """
     started = perf_counter()
-    is_flat = problem.pattern.metric.ndim == 1
+    is_flat, memory = problem.pattern.metric.ndim == 1, None
     if isinstance(problem, PackedProblem) and is_flat:
-        workspace, sizes = _packed(problem, rank_tolerance)
+        workspace, sizes = workspace_of(problem.layout)
+        workspace.settings[0], memory = rank_tolerance, problem.memory
     else:
         workspace, sizes = _filled(problem if is_flat else problem.in_metric, rank_tolerance, rounded=not is_flat)
     _guess(rows, workspace)
-    ending, used = workspace.solve(sizes, question)
+    ending, listed = workspace.solve(sizes, question, memory)
     status = STATUS.get(ending)
     if status is None:
         return None
-    dtheta = workspace.dtheta.copy()
+    answer, names = workspace.answer(listed), workspace.names
+    dtheta = answer.dtheta(sizes.joints)
     if not is_flat:
         dtheta = problem.from_metric(dtheta)
-    figures = workspace.written.copy()
-    active = Remembered(workspace.names, workspace.kept_rows(), workspace.layout)
+    active = Remembered(names, answer.kept_rows(len(names)), workspace.layout)
+    written = Written(problem, rank_tolerance, dtheta, answer, active, perf_counter() - started)
+    return step_of(status, "compiled", method, written)
+
+
+def step_of(status: StepStatus, path: str, method: str, written: Written) -> CompiledStep:
+    """Return the step that the core wrote."""
     step = object.__new__(CompiledStep)
-    step.__dict__.update(
-        dtheta=dtheta,
-        status=status,
-        path="compiled",
-        method=method,
-        written=Written(
-            problem, rank_tolerance, dtheta, figures, workspace.lists[:used].copy(), active, perf_counter() - started
-        ),
-    )
+    step.__dict__.update(dtheta=written.dtheta, status=status, path=path, method=method, written=written)
     return step
 
 
@@ -160,15 +148,6 @@ def _filled(problem: IKProblem, rank_tolerance: float, *, rounded: bool) -> tupl
     workspace = workspace_for(sizes)
     workspace.fill(problem, sizes, rank_tolerance, rounded=rounded)
     workspace.name(problem)
-    return workspace, sizes
-
-
-def _packed(problem: PackedProblem, rank_tolerance: float) -> tuple[Workspace, Sizes]:
-    """Return the workspace of a problem that lives, with its numbers, and its sizes."""
-    workspace, sizes = workspace_of(problem.layout)
-    workspace.settings[0] = rank_tolerance
-    if not workspace.holds(problem.numbers):
-        workspace.read(problem.numbers, sizes)
     return workspace, sizes
 
 
@@ -193,10 +172,10 @@ def guessed(rows: Collection[str] | Remembered, names: tuple[str, ...], numbers:
 
 def _fields(written: Written) -> dict[str, Any]:
     """Return the fields of a step that are put together late."""
-    problem, rank_tolerance, dtheta, values, numbers, active, seconds = written
-    lists, names = numbers.tolist(), active.names
+    problem, rank_tolerance, dtheta, answer, active, seconds = written
+    lists, names = answer.all_lists(), active.names
     levels = len(problem.levels)
-    end, figures = FIGURES * (levels + 1), values.tolist()
+    end, figures = FIGURES * (levels + 1), answer.all_figures(levels)
     corrections, _, _, computed_from, exceeded, tight, zero, holding = lists[:COUNTS]
     exceeded += computed_from + COUNTS
     tight += exceeded

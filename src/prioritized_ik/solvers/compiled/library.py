@@ -120,8 +120,8 @@ def _loaded(path: Path, expected: str) -> tuple[ctypes.CDLL | None, str]:
     core.core_arrays.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
     core.core_arrays.restype = None
     core.core_size.argtypes, core.core_size.restype = [ctypes.c_void_p] + [ctypes.c_int] * 4, None
-    core.core_read.argtypes = [ctypes.c_void_p, ctypes.c_double]
-    core.core_solve.argtypes = [ctypes.c_void_p, ctypes.c_int]
+    core.core_is_sound.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double]
+    core.core_solve.argtypes = [ctypes.c_void_p, ctypes.c_int, ctypes.c_void_p]
     core.core_scene_observe.argtypes, core.core_scene_pose.argtypes = [ctypes.c_void_p], [ctypes.c_void_p] * 2
     core.core_pose.argtypes, core.core_pose.restype = [ctypes.c_void_p], None
     core.core_tree_new.restype = ctypes.c_void_p

@@ -37,7 +37,7 @@ class Step : public ActiveSet {
 
     int answer(Question question) {
         arena_.back_to(0);
-        std::fill_n(io.lists.begin(), int(COUNTS), 0);
+        std::fill_n(io.lists, int(COUNTS), 0);
         read();
         factor();
         start_faces();
@@ -65,7 +65,7 @@ class Step : public ActiveSet {
             is_begun = is_begun && !is_factored_anew && !is_declined;
             std::memset(exceeded_, 0, all_);
             if (is_factored_anew) refactor();
-            std::fill_n(io.lists.begin(), int(COUNTS), 0);
+            std::fill_n(io.lists, int(COUNTS), 0);
         }
         face(nullptr, 0);
         closed_form_ = norm(u_, m_);

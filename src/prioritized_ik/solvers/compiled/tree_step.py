@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from prioritized_ik.kinematic_tree import PointRows
 from prioritized_ik.problem import IKProblem
-from prioritized_ik.solvers.compiled.fast import STATUS, CompiledStep, Remembered, Written, guessed
+from prioritized_ik.solvers.compiled.fast import STATUS, CompiledStep, Remembered, Written, guessed, step_of
 from prioritized_ik.solvers.compiled.library import Ending, Question, library
 from prioritized_ik.solvers.compiled.tree import checked, given_back, taken
-from prioritized_ik.solvers.compiled.workspace import COUNTS, FIGURES, recent_names
+from prioritized_ik.solvers.compiled.workspace import COUNTS, FIGURES, Answer, recent_names
 from prioritized_ik.tree_problem import TreeLevel, TreeRows
 
 PATH = "tree"
@@ -32,9 +32,10 @@ def compiled_tree_step(
         return Ending.UNPROVEN
     m, levels, c = len(problem.reference), len(problem.levels), len(problem.rows.upper)
     names, numbers = recent_names(problem.bounds.names, problem.rows.names)
-    found = np.empty(m + FIGURES * (levels + 1) + 2 + levels)
-    kept = np.empty(2 * m + c, dtype=np.uint8)
-    lists = np.empty(COUNTS + 2 * (levels + 2) * (2 * m + c), dtype=np.int32)
+    every, told = 2 * m + c, m + FIGURES * (levels + 1) + 2 + levels
+    kept_at = 8 * told
+    lists_at = kept_at + (every + 7) // 8 * 8
+    room = np.empty(lists_at + 4 * (COUNTS + 2 * (levels + 2) * every), dtype=np.uint8)
     guess = np.frombuffer(guessed(rows, names, numbers), dtype=np.uint8) if rows else None
     places = _Places()
     reals, integers, place = places.of_reals, places.of_integers, places.of
@@ -44,7 +45,7 @@ def compiled_tree_step(
         *(integers(tree.parents), reals(tree.angular), reals(tree.linear), reals(tree.anchors)),
         *(reals(problem.metric), reals(problem.bounds.lower), reals(problem.bounds.upper), reals(problem.reference)),
         0 if guess is None else place(guess),
-        *(place(found), place(found) + m * found.itemsize, place(lists), place(kept)),
+        *(start := place(room), start + 8 * m, start + lists_at, start + kept_at),
     ]
     given += (
         places.of_rows(problem.rows.points, problem.rows.upper, None)
@@ -62,17 +63,10 @@ def compiled_tree_step(
     status = STATUS.get(told & 0xFF)
     if status is None:
         return Ending(told & 0xFF)
-    step = object.__new__(CompiledStep)
-    dtheta, written = found[:m], lists[: told >> 8].copy()
-    active = Remembered(names, kept.tobytes())
-    step.__dict__.update(
-        dtheta=dtheta,
-        status=status,
-        path=PATH,
-        method=method,
-        written=Written(problem, rank_tolerance, dtheta, found[m:], written, active, perf_counter() - started),
-    )
-    return step
+    answer = Answer(bytearray(room.data[: lists_at + 4 * (told >> 8)]), 8 * m, kept_at, lists_at)
+    active, dtheta = Remembered(names, answer.kept_rows(every)), answer.dtheta(m)
+    written = Written(problem, rank_tolerance, dtheta, answer, active, perf_counter() - started)
+    return step_of(status, PATH, method, written)
 
 
 class _Places:

@@ -5,19 +5,19 @@ import math
 import threading
 import weakref
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.packed import Layout
+from prioritized_ik.packed import Layout, PackedProblem
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled.library import Question, library, tolerances_of
 from prioritized_ik.validation import LARGEST, Array, distinct
 
 FIGURES = 4  # of a level: gap, relative gap, stationarity, rounding
 COUNTS = 8  # corrections, faces, proofs; the lengths of the lists of active, exceeded, tight, zero and holding rows
-ARRAYS = 22  # that both sides see
+ARRAYS = 21  # that both sides see
 
 
 class Sizes(NamedTuple):
@@ -63,13 +63,46 @@ class Sizes(NamedTuple):
         )
 
 
+class Answer(NamedTuple):
+    """What the core wrote of a step, see exchange.hpp: bytes of its own, and where in them something begins.
+
+    Attributes:
+        written: dθ first, then the rest.
+        figures: of levels, violation, scale, costs; doubles.
+        kept: the rows that the step was computed from, a byte for each: a guess for the next.
+        lists: counts, and rows by their numbers; whole numbers of four bytes, to the end.
+    """
+
+    written: bytearray
+    figures: int
+    kept: int
+    lists: int
+
+    def dtheta(self, joints: int) -> Array:
+        """Return dθ `(m,)` in the joint metric, where it stands."""
+        return np.frombuffer(self.written, count=joints)
+
+    def kept_rows(self, count: int) -> bytearray:
+        """Return the first `count` of the rows, a byte for each."""
+        return self.written[self.kept : self.kept + count]
+
+    def all_figures(self, levels: int) -> list[float]:
+        """Return the figures of a problem with so many levels."""
+        end = self.figures + 8 * (FIGURES * (levels + 1) + 2 + levels)
+        return list(memoryview(self.written)[self.figures : end].cast("d"))
+
+    def all_lists(self) -> list[int]:
+        """Return the counts and lists."""
+        return list(memoryview(self.written)[self.lists :].cast("i"))
+
+
 class Workspace:
     """One core and its arrays, see exchange.hpp; for one thread at a time."""
 
     def __init__(self, room: Sizes) -> None:
         core = library().core
         assert core is not None
-        self.room, self._solve, self._read, self._size = room, core.core_solve, core.core_read, core.core_size
+        self.room, self._solve, self._is_sound, self._size = room, core.core_solve, core.core_is_sound, core.core_size
         m, k, r, e = room.joints, room.level_rows, room.rows, room.equalities
         values = tolerances_of(core)
         address = core.core_new(m, room.levels, k, r, e, values.ctypes.data)
@@ -93,20 +126,18 @@ class Workspace:
         self.settings = _reals(next(at), 4)
         self.ends = _integers(next(at), levels)
         self.soft, self._guess = _flags(next(at), levels), _flags(next(at), every).data
-        self.dtheta = _reals(next(at), m)
-        self.figures = _reals(next(at), FIGURES * (levels + 1) + 2 + levels)
-        self.written = self.figures  # of the problem that was solved last
         self.multipliers = _reals(next(at), (levels + 1) * every)
-        self.lists = _integers(next(at), COUNTS + 2 * every + k + r + 2 * (levels + 1) * every)
-        self._kept = _flags(next(at), every).data
-        self.packed = _reals(next(at), m * (k + r + e + 3) + 2 * k + r + e)
+        start, *parts = (place or 0 for place in at)
+        self._places = [part - start for part in parts]
+        self._lists = self._places[-1]
+        size = self._lists + 4 * (COUNTS + 2 * every + k + r + 2 * (levels + 1) * every)
+        self._answer = _flags(start, size).data
         self._names: tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, int], ...]] | None = None
         self.names: tuple[str, ...] = ()  # of upper bounds, lower bounds, rows and soft levels' rows, as lists number them
         self.numbers: dict[str, int] = {}
         self._metric: Array | None = None
         self._sizes: Sizes | None = None  # that the core was told last
-        self._layout: Layout | None = None  # of the problem that was filled in, if it is packed,
-        self._held: Array | None = None  # and the numbers that were read last
+        self._layout: Layout | None = None  # of the problem that was filled in, if it is packed
 
     def fill(self, problem: IKProblem, sizes: Sizes, rank_tolerance: float, *, rounded: bool = False) -> None:
         """Write a problem that has room, whose metric is diagonal; `rounded` if its rows are not those that were given."""
@@ -146,27 +177,17 @@ class Workspace:
         if layout is not self._layout:
             self.fill(layout.pattern, sizes, 0.0)
             self.name(layout.pattern)
-            self._layout, self._held = layout, None
+            self._layout = layout
 
-    def read(self, numbers: Array, sizes: Sizes) -> bool:
-        """Take the numbers of a problem whose pattern was filled in; whether they are beyond doubt, see packed.hpp."""
-        self.packed[: len(numbers)] = numbers
-        self._held = numbers
+    def is_sound(self, problem: PackedProblem, sizes: Sizes) -> bool:
+        """Whether the numbers of a problem whose pattern was filled in are beyond doubt, see packed.hpp."""
         self._tell(sizes)
-        return bool(self._read(self._address, LARGEST))
+        return bool(self._is_sound(self._address, problem.memory, LARGEST))
 
     def guess_rows(self, guess: bytes | bytearray, *, of_another: bool = False) -> None:
         """Write which rows a step may rest on, a byte for each of `names`; `of_another` kind of problem than this."""
         self._guess[: len(guess)] = guess
         self.settings[3] = of_another
-
-    def kept_rows(self) -> bytes:
-        """Return which rows the step was computed from, a byte for each of `names`: a guess for the next."""
-        return self._kept[: len(self.names)].tobytes()
-
-    def holds(self, numbers: Array) -> bool:
-        """Whether these numbers, which do not change, were the last that were read."""
-        return numbers is self._held
 
     def name(self, problem: IKProblem) -> None:
         """Let `names` and `numbers` be those of a problem."""
@@ -176,19 +197,23 @@ class Workspace:
             self._names = found
             self.names, self.numbers = numbered_names(*found)
 
-    def solve(self, sizes: Sizes, question: Question) -> tuple[int, int]:
-        """Return the `Ending` of the problem that was written, and how much of `lists` is."""
-        self._tell(sizes)
-        told: int = self._solve(self._address, question)
+    def solve(self, sizes: Sizes, question: Question, memory: Any = None) -> tuple[int, int]:
+        """Return the `Ending` of the problem that was written, or has its numbers in `memory`, and how long lists are."""
+        if sizes is not self._sizes:
+            self._tell(sizes)
+        told: int = self._solve(self._address, question, memory)
         if told < 0:
             raise MemoryError("no memory for the compiled core")
         return told & 0xFF, told >> 8
+
+    def answer(self, listed: int) -> Answer:
+        """Return what the core wrote of the step that was solved last, with lists of this length."""
+        return Answer(bytearray(self._answer[: self._lists + 4 * listed]), *self._places)
 
     def _tell(self, sizes: Sizes) -> None:
         """Tell the core the sizes of what comes next, unless it knows."""
         if sizes is not self._sizes:
             self._sizes = sizes
-            self.written = self.figures[: FIGURES * (sizes.levels + 1) + 2 + sizes.levels]
             self._size(self._address, sizes.levels, sizes.level_rows, sizes.rows, sizes.equalities)
 
 

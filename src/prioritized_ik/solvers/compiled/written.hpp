@@ -39,13 +39,13 @@ class Written : public Certified {
             if (is_between(abs(reach_[i]))) throw Declined{NEARLY_TIGHT};
         is_written_ = true;
         const int levels = now_.levels;
-        double* figures = io.figures.data() + FIGURES * (levels + 1);
+        double* figures = io.figures + FIGURES * (levels + 1);
         figures[0] = violation / scale_;
         figures[1] = scale_;
 
         for (int j = 0; j < m_; j++) io.dtheta[j] = u_[j] / io.metric_root[j];
-        int32_t *counts = io.lists.data(), *list = counts + COUNTS;
-        std::fill(io.kept.begin(), io.kept.end(), LOOSE);
+        int32_t *counts = io.lists, *list = counts + COUNTS;
+        std::fill_n(io.kept, all_, LOOSE);
         for (int i = 0; i < t; i++) *list++ = ids[i], io.kept[ids[i]] = TIGHT_ROW;
         counts[ACTIVE] = t;
         for (int i = hard_; i < all_; i++)
@@ -69,7 +69,7 @@ class Written : public Certified {
             const Block& block = levels_[l];
             double cost = 0.0;
             for (int i = block.first; i < block.first + block.given; i++) {
-                double off = dot(io.matrix.data() + size_t(i) * stride, io.dtheta.data(), stride) - io.target[i];
+                double off = dot(io.matrix.data() + size_t(i) * stride, io.dtheta, stride) - io.target[i];
                 if (block.is_soft) off = max(off, 0.0);
                 cost += io.weights[i] * off * off;
             }
@@ -87,7 +87,7 @@ class Written : public Certified {
 
     // Whether no level's cost could be lower, gaps with `margin`.
     bool is_optimal(double margin) const {
-        const double* figures = io.figures.data();
+        const double* figures = io.figures;
         for (int l = 0; l <= now_.levels; l++, figures += FIGURES) {
             if (!(figures[STATIONARITY] <= tol_.MARGIN * tol_.CERTIFIED)) return false;
             if (l < now_.levels && !(figures[RELATIVE_GAP] <= margin * tol_.GAP)) return false;
@@ -97,7 +97,7 @@ class Written : public Certified {
 
     // How far rounding may move the step, see Certificate.variation.
     double variation() const {
-        const double* figures = io.figures.data();
+        const double* figures = io.figures;
         double largest = 0.0;
         for (int l = 0; l <= now_.levels; l++, figures += FIGURES) largest = max(largest, figures[ROUNDING]);
         return max(largest, sqrt(io.figures[size_t(now_.levels) * FIGURES + RELATIVE_GAP]));
