@@ -221,6 +221,42 @@ inline void reflect_all(double* const* rows, int count, int from, const double* 
     for (; i < count; i++) reflect(rows[i] + from, v, tau, n);
 }
 
+// The same for a v that is 1 at `head` of the rows, and from `from` on as given; `from` is aligned.
+inline void reflect_head_and_tail(double* const* rows, int count, int head, int from, const double* v, double tau, int n) {
+    int i = 0;
+    for (; i + 4 <= count; i += 4) {
+        double *a = rows[i] + from, *b = rows[i + 1] + from, *c = rows[i + 2] + from, *d = rows[i + 3] + from;
+        double *e = rows[i] + head, *f = rows[i + 1] + head, *g = rows[i + 2] + head, *h = rows[i + 3] + head;
+        Wide p = {}, q = {}, r = {}, s = {};
+        for (int j = 0; j < n; j += WIDE) {
+            const Wide x = wide(v + j);
+            p += wide(a + j) * x;
+            q += wide(b + j) * x;
+            r += wide(c + j) * x;
+            s += wide(d + j) * x;
+        }
+        const Four factors = (totals(p, q, r, s) + Four{*e, *f, *g, *h}) * -tau;
+        p = wide_of(factors[0]), q = wide_of(factors[1]), r = wide_of(factors[2]), s = wide_of(factors[3]);
+        for (int j = 0; j < n; j += WIDE) {
+            const Wide x = wide(v + j);
+            wide(a + j) += p * x;
+            wide(b + j) += q * x;
+            wide(c + j) += r * x;
+            wide(d + j) += s * x;
+        }
+        *e += factors[0], *f += factors[1], *g += factors[2], *h += factors[3];
+    }
+    for (; i < count; i++) {
+        double* a = rows[i] + from;
+        Wide p = {};
+        for (int j = 0; j < n; j += WIDE) p += wide(a + j) * wide(v + j);
+        const double factor = -tau * (total(folded(p)) + rows[i][head]);
+        p = wide_of(factor);
+        for (int j = 0; j < n; j += WIDE) wide(a + j) += p * wide(v + j);
+        rows[i][head] += factor;
+    }
+}
+
 // A chain of reflectors, each a zero-padded row of `stride`.
 class Reflectors {
   public:
@@ -359,6 +395,28 @@ inline void column_qr(double* columns, int stride, int k, int r, int n, int* ord
         reflect_all(column + j + 1, k - j - 1, from, v + from, tau, stride - from);
         if (pivot)
             for (int i = j + 1; i < r; i++) norms.shrink(i, column[i][at], column[i] + at + 1, n - at - 1);
+    }
+}
+
+// QR of r columns, an upper triangle above n - r full rows; all k are transformed, as by column_qr, and reflectors are stored.
+inline void triangle_qr(double* columns, int stride, int k, int r, int n, Arena& arena, double* kept, double* taus) {
+    Scope scope(arena);
+    double **column = arena.array<double*>(k), *tail = arena.zeros(stride);
+    for (int j = 0; j < k; j++) column[j] = columns + size_t(j) * stride;
+    const int from = aligned_start(r), m = n - r;
+    for (int j = 0; j < r; j++) {
+        double *x = column[j], *v = kept + size_t(j) * stride;
+        clear(v, stride);
+        const double head = x[j], size = sqrt(head * head + dot(x + r, x + r, m)), beta = head >= 0.0 ? -size : size;
+        v[j] = 1.0;
+        taus[j] = 0.0;
+        if (size == 0.0) continue;
+        const double scale = 1.0 / (head - beta);
+        taus[j] = (beta - head) / beta;
+        for (int i = r; i < n; i++) v[i] = tail[i] = x[i] * scale;
+        x[j] = beta;
+        clear(x + r, m);
+        reflect_head_and_tail(column + j + 1, k - j - 1, j, from, tail + from, taus[j], stride - from);
     }
 }
 

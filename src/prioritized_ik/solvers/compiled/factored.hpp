@@ -135,7 +135,7 @@ class Factored : public Posed {
         // How far rounding may have turned the directions below; `weakest` is a bound from below.
         block.blur = r && !block.is_soft ? tol_.PROJECTION * tol_.EPS / block.weakest : 0.0;
         block.settled = max(settled, block.blur);
-        whiten(block, row, n == r && before == r);
+        whiten(block, row, before == r && (n == r || r >= MANY));
     }
 
     // Cuts a level's r coordinates to its rank; `weakest` becomes what the weakest one kept measures at least.
@@ -200,8 +200,13 @@ class Factored : public Posed {
         return 0;
     }
 
-    // W^1/2 A in the level's coordinates becomes Q R; the same Q for what the levels above decide, and for the target.
-    void whiten(Block& block, double* const* row, bool square) {
+    // Coordinates from which on a triangle is not given up for pivots, which grade what is weak: certificates of small levels
+    // are the sharper for it.
+    static constexpr int MANY = 16;
+
+    // W^1/2 A in the level's coordinates becomes Q R; the same Q for what the levels above decide, and for the target. Where the
+    // rank is not cut, the first rows are a lower `triangle`: read from its end, it is an upper one.
+    void whiten(Block& block, double* const* row, bool triangle) {
         const int c = block.start, r = block.rank, n = block.n, s = padded(max(n, 1)), k = r + c + 1;
         double* columns = factors_.zeros(size_t(k) * s);
         double* factor = factors_.doubles(n);
@@ -217,23 +222,22 @@ class Factored : public Posed {
         block.above = columns + size_t(r) * s;
         block.reflectors = nullptr;
         int* turned = factors_.array<int>(r);
-        if (square) {  // every row is reached: a lower triangle, read from its end, is an upper one
-            for (int i = 0; i < n; i++) {
-                const int back = n - 1 - i;
-                for (int j = 0; j <= i; j++) columns[size_t(n - 1 - j) * s + back] = factor[i] * row[i][c + j];
-                for (int j = 0; j < c; j++) block.above[size_t(j) * s + back] = factor[i] * row[i][place_[j]];
-                block.target()[back] = block.root[block.order[i]] * block.side[block.order[i]];
-            }
-            for (int j = 0; j < r; j++) turned[j] = r - 1 - j;
-            std::reverse(block.order, block.order + n);
-        } else {
-            for (int i = 0; i < n; i++) {
-                for (int j = 0; j < r; j++) columns[size_t(j) * s + i] = factor[i] * row[i][c + j];
-                for (int j = 0; j < c; j++) block.above[size_t(j) * s + i] = factor[i] * row[i][place_[j]];
-                block.target()[i] = block.root[block.order[i]] * block.side[block.order[i]];
-            }
+        for (int i = 0; i < n; i++) {
+            const int at = triangle && i < r ? r - 1 - i : i;
+            for (int j = 0; j < (triangle ? min(i + 1, r) : r); j++)
+                columns[size_t(triangle ? r - 1 - j : j) * s + at] = factor[i] * row[i][c + j];
+            for (int j = 0; j < c; j++) block.above[size_t(j) * s + at] = factor[i] * row[i][place_[j]];
+            block.target()[at] = block.root[block.order[i]] * block.side[block.order[i]];
+        }
+        if (n > r) {
             block.reflectors = factors_.doubles(size_t(r) * s);
             block.taus = factors_.doubles(r);
+        }
+        if (triangle) {
+            for (int j = 0; j < r; j++) turned[j] = r - 1 - j;
+            std::reverse(block.order, block.order + r);
+            if (n > r) triangle_qr(columns, s, k, r, n, factors_, block.reflectors, block.taus);
+        } else {
             column_qr(columns, s, k, r, n, turned, true, factors_, block.reflectors, block.taus);
         }
         for (int j = 0; j < r; j++) place_[c + j] = c + turned[j];
