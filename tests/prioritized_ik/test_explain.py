@@ -250,7 +250,7 @@ def test_a_winding_step_gives_way_to_named_bounds_and_contacts():
         (found,) = explained(problem, CUT_AS_RECORDED)
         names = problem.inequalities.names
         assert set(found.held_by) <= set(names)
-        assert found.held_by
+        assert found.held_by or found.error <= found.tolerance  # rows that bind can leave all that a level asks for
         gave_way += found.gave_way
     assert gave_way >= 4  # in others the rows cost less than can be told
 

@@ -22,7 +22,6 @@ BY_HAND = 1e-6  # interior points leave a tight row without a multiplier by the 
 OPTIMUM = 1e-5  # of a step of length one, relative: costs are right to 1e-12, and so steps to 1e-6; levels add up
 COST = 1e-7  # of a level's cost, relative to standing still or to the optimum
 AGREE = 1e-5  # of two solvers, each right to `OPTIMUM` at worst
-ROUNDING = 1e-12  # of a cost relative to standing still, of a row relative to the step
 RANK = 1e-4  # the library's rank tolerance, to which matrices are cut
 
 WELL_SCALED = EVERYTHING - {"weights", "scales", "degenerate"}  # no spread of six decades, no blurred tight row
@@ -195,19 +194,12 @@ def cut(level: Level) -> Level:
 
 
 def test_the_library_and_the_witness_agree_on_constrained_winding_steps():
-    beaten = 0
     for problem in constrained_steps():
         (level,) = levels = [cut(problem.levels[0])]
         same = IKProblem(levels, problem.bounds, problem.rows, problem.reference)
         step, reference = solve(same, "daqp", QP_ONLY).dtheta, witness_step(same)
-        still = level.cost(np.zeros_like(step))
-        assert abs(level.cost(step) - level.cost(reference)) <= COST * still
-        # Along a direction that hardly counts the witness stops early: its step keeps the rows as well, and costs more.
-        is_beaten = level.cost(reference) - level.cost(step) > ROUNDING * still
-        assert is_beaten or norm_error(step, reference) <= AGREE
-        assert same.relative_violation(step) <= ROUNDING
-        beaten += norm_error(step, reference) > AGREE
-    assert beaten <= 1
+        assert abs(level.cost(step) - level.cost(reference)) <= COST * level.cost(np.zeros_like(step))
+        assert norm_error(step, reference) <= AGREE
 
 
 # Solvers.

@@ -19,6 +19,10 @@ QP_ONLY = SolveOptions(closed_form_first=False)
 AS_RECORDED = SolveOptions(rank_tolerance=RANK_TOLERANCE, closed_form_first=False)
 
 MET = 1e-12  # a row broken by less than this fraction of the step is broken by rounding only
+ZERO, CLEAR = (
+    1e-14,
+    1e-8,
+)  # singular values relative to the largest: up to this nothing, and from this on more than rounding
 
 
 @cache
@@ -46,9 +50,20 @@ def constrained_steps() -> tuple[IKProblem, ...]:
 def _spread(count: int, *, free: bool) -> tuple[IKProblem, ...]:
     chosen: list[IKProblem] = []
     for direction in ("up", "back"):
-        problems = [problem for problem in recorded(direction).problems() if closed_form_is_feasible(problem) is free]
+        problems = [
+            problem
+            for problem in recorded(direction).problems()
+            if closed_form_is_feasible(problem) is free and feels_clearly(problem)
+        ]
         chosen += [problems[i] for i in np.linspace(0, len(problems) - 1, count).astype(int)]
     return tuple(chosen)
+
+
+def feels_clearly(problem: IKProblem) -> bool:
+    """Whether every direction is felt, or not: what a level feels by rounding alone is no question to a QP solver."""
+    (level,) = problem.levels
+    felt = np.linalg.svd(level.matrix, compute_uv=False)
+    return not ((felt > ZERO * felt[0]) & (felt < CLEAR * felt[0])).any()
 
 
 def closed_form_is_feasible(problem: IKProblem) -> bool:
