@@ -1,5 +1,7 @@
 """The fold over levels: the optimum, whichever way, and what becomes of a solver that fails."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.optimize
@@ -10,7 +12,7 @@ from winding_fixtures import AS_RECORDED, QP_ONLY, constrained_steps, free_steps
 
 from prioritized_ik.errors import InputError, StepNotFoundError
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
-from prioritized_ik.solvers import registry
+from prioritized_ik.solvers import lexicographic, registry
 from prioritized_ik.solvers.backends.protocol import StageResult
 from prioritized_ik.solvers.backends.registry import get_backend
 from prioritized_ik.solvers.certificate import certify
@@ -577,6 +579,25 @@ def test_costs_of_a_damped_level_are_those_of_its_own_target():
     step = solve(problem)
     costs = [level.cost(step.dtheta) for level in problem.levels]  # the core sums in another order
     np.testing.assert_allclose(step.costs, costs, rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("undecided", [0.0, 1e-9, 1e-3])
+def test_a_step_is_no_surer_than_the_damped_optimum_that_it_asks_for(undecided, monkeypatch):
+    problem, solved = damped_problem(0, "free"), lexicographic._undamped_step
+
+    def less_sure(asked, *others):
+        step = solved(asked, *others)
+        if any(level.damping for level in asked.levels):  # the optimum that is handed down, its damping as rows
+            found = step.certificate
+            step = replace(step, certificate=replace(found, rounding=tuple(max(one, undecided) for one in found.rounding)))
+        return step
+
+    sure = solve(problem)
+    monkeypatch.setattr(lexicographic, "_undamped_step", less_sure)
+    step = solve(problem)
+    assert step.certificate.variation == max(sure.certificate.variation, undecided)
+    assert (step.status is StepStatus.UNCERTIFIED) == (undecided > 1e-6)
+    assert np.array_equal(step.dtheta, sure.dtheta)
 
 
 # Arguments in the wrong place: an error also where no row binds and the solver is never called.

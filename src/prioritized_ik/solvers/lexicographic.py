@@ -165,14 +165,32 @@ def joint_step(problem: IKProblem, start: Start, options: SolveOptions, method: 
 def _damped_step(problem: IKProblem, start: Start, options: SolveOptions) -> JointStep:
     """Return the outcome of one solve of a problem with damped levels, whose optima are handed down."""
     clock = Clock()
-    aimed = handed_down(problem, lambda damped: _undamped_step(damped, start, options))
+    optima: list[JointStep] = []
+
+    def solve_damped(damped: IKProblem) -> JointStep:
+        optima.append(_undamped_step(damped, start, options))
+        return optima[-1]
+
+    aimed = handed_down(problem, solve_damped)
     if isinstance(aimed, JointStep):
         return aimed
     timings = clock.timings()
     step = _undamped_step(aimed, start, options)
     if step.dtheta is not None:
         step = replace(step, costs=tuple(level.cost(step.dtheta) for level in problem.levels))
+        step = _no_surer_than(optima, step)
     return replace(step, timings=replace(step.timings, build=step.timings.build + timings.build))
+
+
+def _no_surer_than(optima: Collection[JointStep], step: JointStep) -> JointStep:
+    """Return a step that asks for what damped `optima` reach: undecided by as much as they are, and proven if they are."""
+    if step.certificate is None:
+        return step
+    found = [one.certificate for one in optima if one.certificate is not None]
+    undecided = max([one.variation if one.is_optimal else 1.0 for one in found], default=0.0)
+    *others, last = step.certificate.rounding
+    certificate = replace(step.certificate, rounding=(*others, max(last, undecided)))
+    return replace(step, certificate=certificate, status=step.status if certificate.holds else StepStatus.UNCERTIFIED)
 
 
 def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions, method: str = "") -> JointStep:
