@@ -6,7 +6,7 @@
     core.cpp       the core's interface, exchange.hpp, what it and Python say to each other
     step.hpp       the course of a call, on layers: posed.hpp (the problem in its metric), factored.hpp (one factorisation
                    for all levels), face.hpp (the step where some rows hold), extended.hpp (with more digits),
-                   certificate.hpp, written.hpp, active_set.hpp
+                   certificate.hpp, written.hpp, dual.hpp (a guess of the rows that hold), active_set.hpp
     packed.hpp     problems that are handed over as one array, see ../../packed.py
     posing.hpp     rows of robots written where they are, see ../../posing.py
     dense.hpp      the linear algebra beneath; with singular_values.hpp, nonnegative.hpp and double_double.hpp

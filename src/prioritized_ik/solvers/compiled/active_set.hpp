@@ -1,13 +1,13 @@
-// The seventh layer: from a guess of active rows to those of the optimum; see active_set.py.
+// The eighth layer: from a guess of active rows to those of the optimum; see active_set.py.
 #pragma once
 
-#include "written.hpp"
+#include "dual.hpp"
 
 namespace prioritized_ik {
 
-class ActiveSet : public Written {
+class ActiveSet : public DualGuess {
   protected:
-    using Written::Written;
+    using DualGuess::DualGuess;
 
     int listed(int* ids) const {
         int t = 0;
@@ -51,16 +51,13 @@ class ActiveSet : public Written {
     // Goes on to the optimum, for `most` further sets, with soft levels since fewer rows pulled than ever before; false if that
     // leads nowhere, or not yet. No set is visited twice: where the rule would return to one, the next best row is dropped
     // instead. Of some of the levels alone nothing is written.
-    // `is_at_hand`: the first set's step is in u_, with its slacks.
-    bool search(int most, bool is_at_hand = false) {
+    bool search(int most) {
         int* ids = ids_;
-        for (size_t end = visited_.size() + most; visited_.size() < end && !is_stuck_; is_at_hand = false) {
+        for (size_t end = visited_.size() + most; visited_.size() < end && !is_stuck_;) {
             io.lists[CORRECTIONS] = int(visited_.size());
             visited_.push_back(digest());
-            if (!is_at_hand) {
-                face(ids, listed(ids));
-                measure();
-            }
+            face(ids, listed(ids));
+            measure();
             if (!(size_ < INFINITE)) break;
             if (advance() || (soft_ && sort_soft())) {
                 is_stuck_ = is_visited() && !drop();

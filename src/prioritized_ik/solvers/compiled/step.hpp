@@ -1,5 +1,5 @@
 // One joint step and its certificate, in layers, each on those before it: posed.hpp, factored.hpp, face.hpp, extended.hpp,
-// certificate.hpp, written.hpp, active_set.hpp, and the course of a call here.
+// certificate.hpp, written.hpp, dual.hpp, active_set.hpp, and the course of a call here.
 //
 // What this cannot settle clearly (a rank near its cut, a row that the levels above nearly decide, a set of rows that does
 // not come to rest, a certificate without margin) it declines: the Python form answers then.
@@ -30,11 +30,6 @@ class Step : public ActiveSet {
     }
 
   private:
-    // With a guess: how many sets it may take, and the part of those that its rows take from nothing, if they are of a problem
-    // of the same kind: those of a winding's last step say little once another link is in contact.
-    static constexpr int LEAST = 2, PATIENCE = 2;
-    int patience() const { return LEAST + (io.settings[3] ? 0 : guessed_ / PATIENCE); }
-
     int answer(Question question) {
         arena_.back_to(0);
         std::fill_n(io.lists, int(COUNTS), 0);
@@ -51,21 +46,17 @@ class Step : public ActiveSet {
         // form's; any other may be, and where they are not right at once the closed form has the first word. Where soft rows
         // are exceeded it has it always: it has factors of its own.
         closed_form_ = -1.0;
-        bool is_begun = false;
         if (guessed && question == STEP) {
             start_from_guess();
-            is_begun = !exceeds();
-            bool is_declined = false;
-            try {
-                if (is_begun && search(1) && io.lists[HOLDING]) return SOLVED;
-            } catch (const Declined&) {
-                is_declined = true;
+            if (!exceeds()) {
+                try {
+                    if (search(1) && io.lists[HOLDING]) return SOLVED;
+                } catch (const Declined&) {  // there is more to try
+                }
+                if (exceeds()) exceed_none();
+                std::fill_n(io.lists, int(COUNTS), 0);
             }
-            const bool is_factored_anew = is_begun && exceeds();
-            is_begun = is_begun && !is_factored_anew && !is_declined;
             std::memset(exceeded_, 0, all_);
-            if (is_factored_anew) refactor();
-            std::fill_n(io.lists, int(COUNTS), 0);
         }
         face(nullptr, 0);
         closed_form_ = norm(u_, m_);
@@ -82,17 +73,18 @@ class Step : public ActiveSet {
             }
             if (question == CLOSED_FORM_ONLY) return BINDING;
         }
-        // From nothing a search takes about a set a row, with soft levels a few: from a guess it is to be right sooner.
-        if (guessed) {
-            if (!is_begun) start_from_guess();
-            if (exceeds()) refactor();
-            if (search(patience())) return SOLVED;
-            std::memset(exceeded_, 0, all_);
-            if (soft_) refactor();
+        // Rows of the last step say little of a problem of another kind, as once another link of a winding is in contact.
+        if (guessed && !io.settings[3]) {
+            if (search_by_multipliers(true)) return SOLVED;
+            exceed_none();
+            face(nullptr, 0);
+            measure();
         }
+        if (search_by_multipliers(false)) return SOLVED;
+        exceed_none();
         std::memset(active_, 0, all_);
         start_search();
-        if (search(most_sets(), !guessed)) return SOLVED;
+        if (search(most_sets())) return SOLVED;
         if (guessed) {
             start_from_guess();
             if (soft_) refactor();
@@ -100,6 +92,14 @@ class Step : public ActiveSet {
         }
         if (search_level_by_level()) return SOLVED;
         throw Declined{UNSETTLED};
+    }
+
+    // From the closed form, in u_ with its slacks, by the rows that a dual method guesses.
+    bool search_by_multipliers(bool is_warm) {
+        if (!guess_by_multipliers(is_warm)) return false;
+        if (exceeds()) refactor();
+        start_search();
+        return search(most_sets());
     }
 
     // From nothing, one more level at a time, as stagewise.py.
@@ -118,18 +118,19 @@ class Step : public ActiveSet {
     int most_sets() const { return int(tol_.ITERATIONS) * max(1, all_ / int(tol_.ROWS_PER_SEARCH)); }
 
     void start_from_guess() {
-        guessed_ = 0;
         for (int i = 0; i < all_; i++) {
             exceeded_[i] = i >= hard_ && io.guess[i] == NOT_KEPT && side_[i] < INFINITE;
             active_[i] = io.guess[i] && side_[i] < INFINITE && !exceeded_[i];
-            guessed_ += active_[i] || exceeded_[i];
         }
         start_search();
     }
 
     bool exceeds() const { return std::any_of(exceeded_, exceeded_ + all_, [](uint8_t is) { return is != 0; }); }
 
-    int guessed_ = 0;  // rows
+    void exceed_none() {
+        std::memset(exceeded_, 0, all_);
+        if (soft_) refactor();
+    }
 };
 
 }  // namespace prioritized_ik
