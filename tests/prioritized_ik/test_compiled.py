@@ -73,7 +73,15 @@ class TestBesideThePythonForm:
     @pytest.mark.parametrize("name", campaign.supported())
     def test_what_the_core_answers_the_python_certificate_accepts(self, name: str) -> None:
         for problem, step in answered(name):
-            assert certify(problem, step.dtheta).holds
+            judged = certify(problem, step.dtheta)
+            if (
+                name == "mixed" and judged.variation > tolerances.UNDECIDED
+            ):  # it sees more rounding: rational numbers decide
+                best = exact.optimum(exact.ExactProblem.of(problem))
+                assert best is not None
+                assert apart(step.dtheta, np.array(best.x, float), problem) <= WORST + step.certificate.variation
+            else:
+                assert judged.holds
 
     @pytest.mark.parametrize("name", campaign.supported())
     def test_what_the_core_answers_is_the_step_of_the_python_form(self, name: str) -> None:

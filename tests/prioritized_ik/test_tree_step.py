@@ -13,6 +13,7 @@ from prioritized_ik.kinematic_tree import KinematicTree, PointRows
 from prioritized_ik.models import Arm
 from prioritized_ik.problem import Bounds, Equalities, IKProblem, Level, Rows
 from prioritized_ik.solvers.certificate import certify
+from prioritized_ik.solvers.compiled.fast import compiled_step
 from prioritized_ik.solvers.compiled.library import Ending, Question, library
 from prioritized_ik.solvers.compiled.tree_step import compiled_tree_step
 from prioritized_ik.solvers.lexicographic import SolveOptions
@@ -606,6 +607,20 @@ def test_where_both_forms_prove_a_step_of_a_nearly_straight_arm_it_is_the_same(f
             np.testing.assert_allclose(
                 step.dtheta, dense.dtheta, atol=1e-7 * np.linalg.norm(dense.dtheta), err_msg=str(seed)
             )
+
+
+@pytest.mark.skipif(library().core is None, reason="there is no compiled core")
+@pytest.mark.parametrize("seed", [16, 35, 95, 131])
+def test_rows_that_hold_by_rounding_alone_are_no_proof_of_a_nearly_straight_arm(seed):
+    problem = _nearly_straight(seed)
+    wanted, rng = _step(problem, ALONG_LINKS), np.random.default_rng(seed)
+    names = [f"{name} {end}" for end in ("upper", "lower") for name in problem.bounds.names] + list(problem.rows.names)
+    for _ in range(40):
+        right = [name for name in wanted.active_rows if rng.random() < 0.9]
+        wrong = rng.choice(names, rng.integers(1, 4), replace=False)
+        step = compiled_step(problem, 0.0, [*right, *wrong])
+        if step is not None and step.status is StepStatus.SOLVED:
+            np.testing.assert_allclose(step.dtheta, wanted.dtheta, atol=1e-5 * np.linalg.norm(wanted.dtheta))
 
 
 @pytest.mark.parametrize(

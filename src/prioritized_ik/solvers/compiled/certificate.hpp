@@ -172,6 +172,8 @@ class Certified : public Extended {
         const double rounded = dot(rough, rough, v);
         double* values = own.values + size_t(l) * own.t;
         const Doubtful doubtful = doubtful_at(at, look);
+        // Rows that hold it by no more than half a unit in the last place of what is given.
+        if (max(doubtful.felt, below ? doubtful.unfelt : 0.0) > norm(g.values, r)) doubt_ = true;
         for (int i = 0; i < look.n; i++) {
             const int k = look.place[i];
             const double share = look.combination[i], pull = share / look.sizes[i], slack = abs(reach_[own.ids[k]]);

@@ -34,6 +34,7 @@ class DualGuess : public Written {
     // What a level's strongest direction weighs beside the weakest one above: so little that levels above hardly give way,
     // but for many levels more, so that the last of them is not lost in rounding.
     static constexpr double STEEPEST = 1e-3, FLATTEST = 0.1, LEAST_WEIGHT = 1e-15;
+    static constexpr double CLEAR = 1e-6;  // of a level's strongest direction: weaker ones are lost among weighed levels
     static constexpr double TINY = 1e-75;        // weights whose fourth powers are no numbers
     static constexpr double EXCEEDS = 1e-4;      // of the scale: rows that can be kept give way far less
     static constexpr double INDEPENDENT = 1e-9;  // of a coordinate's terms: what others leave of a row, and is not rounding
@@ -57,7 +58,10 @@ class DualGuess : public Written {
         double range = 1.0, weight = 1.0;
         int count = 0;
         for (int l = 0; l < now_.levels; l++)
-            if (const auto [strongest, weakest] = felt(levels_[l]); strongest > 0.0) range *= weakest / strongest, count++;
+            if (const auto [strongest, weakest] = felt(levels_[l]); strongest > 0.0) {
+                if (weakest < CLEAR * strongest) return false;
+                range *= weakest / strongest, count++;
+            }
         const double fades = max(STEEPEST, min(FLATTEST, std::pow(LEAST_WEIGHT / range, 1.0 / max(1, count))));
         for (int l = 0; l < now_.levels; l++) {
             const auto [strongest, weakest] = felt(levels_[l]);

@@ -74,14 +74,15 @@ class Step : public ActiveSet {
             if (question == CLOSED_FORM_ONLY) return BINDING;
         }
         // Rows of the last step say little of a problem of another kind, as once another link of a winding is in contact.
-        if (guessed && !io.settings[3]) {
-            if (search_by_multipliers(true)) return SOLVED;
-            exceed_none();
-            face(nullptr, 0);
-            measure();
+        if (guessed) {
+            for (const bool is_warm : {true, false}) {
+                if (is_warm && io.settings[3]) continue;
+                if (search_by_multipliers(is_warm)) return SOLVED;
+                exceed_none();
+                face(nullptr, 0);
+                measure();
+            }
         }
-        if (search_by_multipliers(false)) return SOLVED;
-        exceed_none();
         std::memset(active_, 0, all_);
         start_search();
         if (search(most_sets())) return SOLVED;
