@@ -187,42 +187,19 @@ inline double reflector(const double* x, double* v, int n, double& tau) {
     return beta;
 }
 
-// row := row (I - tau v v^T), n padded
-inline void reflect(double* row, const double* v, double tau, int n) {
+// row := row (I - tau v v^T), n padded; `more` is what row v has elsewhere. Returns the factor of v.
+inline double reflect(double* row, const double* v, double tau, int n, double more = 0.0) {
     Wide sum = {};
     for (int i = 0; i < n; i += WIDE) sum += wide(row + i) * wide(v + i);
-    const Wide factor = wide_of(-tau * total(folded(sum)));
-    for (int i = 0; i < n; i += WIDE) wide(row + i) += factor * wide(v + i);
+    const double factor = -tau * (total(folded(sum)) + more);
+    const Wide f = wide_of(factor);
+    for (int i = 0; i < n; i += WIDE) wide(row + i) += f * wide(v + i);
+    return factor;
 }
 
-// The same for all of `count` rows, four at a time.
-inline void reflect_all(double* const* rows, int count, int from, const double* v, double tau, int n) {
-    int i = 0;
-    for (; i + 4 <= count; i += 4) {
-        double *a = rows[i] + from, *b = rows[i + 1] + from, *c = rows[i + 2] + from, *d = rows[i + 3] + from;
-        Wide p = {}, q = {}, r = {}, s = {};
-        for (int j = 0; j < n; j += WIDE) {
-            const Wide x = wide(v + j);
-            p += wide(a + j) * x;
-            q += wide(b + j) * x;
-            r += wide(c + j) * x;
-            s += wide(d + j) * x;
-        }
-        const Four factors = totals(p, q, r, s) * -tau;
-        p = wide_of(factors[0]), q = wide_of(factors[1]), r = wide_of(factors[2]), s = wide_of(factors[3]);
-        for (int j = 0; j < n; j += WIDE) {
-            const Wide x = wide(v + j);
-            wide(a + j) += p * x;
-            wide(b + j) += q * x;
-            wide(c + j) += r * x;
-            wide(d + j) += s * x;
-        }
-    }
-    for (; i < count; i++) reflect(rows[i] + from, v, tau, n);
-}
-
-// The same for a v that is 1 at `head` of the rows, and from `from` on as given; `from` is aligned.
-inline void reflect_head_and_tail(double* const* rows, int count, int head, int from, const double* v, double tau, int n) {
+// The same for all of `count` rows, four at a time; with HEAD, v is 1 at `head` of the rows too, besides from `from` on.
+template <bool HEAD = false>
+inline void reflect_all(double* const* rows, int count, int from, const double* v, double tau, int n, int head = 0) {
     int i = 0;
     for (; i + 4 <= count; i += 4) {
         double *a = rows[i] + from, *b = rows[i + 1] + from, *c = rows[i + 2] + from, *d = rows[i + 3] + from;
@@ -235,7 +212,9 @@ inline void reflect_head_and_tail(double* const* rows, int count, int head, int 
             r += wide(c + j) * x;
             s += wide(d + j) * x;
         }
-        const Four factors = (totals(p, q, r, s) + Four{*e, *f, *g, *h}) * -tau;
+        Four sums = totals(p, q, r, s);
+        if (HEAD) sums += Four{*e, *f, *g, *h};
+        const Four factors = sums * -tau;
         p = wide_of(factors[0]), q = wide_of(factors[1]), r = wide_of(factors[2]), s = wide_of(factors[3]);
         for (int j = 0; j < n; j += WIDE) {
             const Wide x = wide(v + j);
@@ -244,16 +223,11 @@ inline void reflect_head_and_tail(double* const* rows, int count, int head, int 
             wide(c + j) += r * x;
             wide(d + j) += s * x;
         }
-        *e += factors[0], *f += factors[1], *g += factors[2], *h += factors[3];
+        if (HEAD) *e += factors[0], *f += factors[1], *g += factors[2], *h += factors[3];
     }
     for (; i < count; i++) {
-        double* a = rows[i] + from;
-        Wide p = {};
-        for (int j = 0; j < n; j += WIDE) p += wide(a + j) * wide(v + j);
-        const double factor = -tau * (total(folded(p)) + rows[i][head]);
-        p = wide_of(factor);
-        for (int j = 0; j < n; j += WIDE) wide(a + j) += p * wide(v + j);
-        rows[i][head] += factor;
+        const double factor = reflect(rows[i] + from, v, tau, n, HEAD ? rows[i][head] : 0.0);
+        if (HEAD) rows[i][head] += factor;
     }
 }
 
@@ -416,7 +390,7 @@ inline void triangle_qr(double* columns, int stride, int k, int r, int n, Arena&
         for (int i = r; i < n; i++) v[i] = tail[i] = x[i] * scale;
         x[j] = beta;
         clear(x + r, m);
-        reflect_head_and_tail(column + j + 1, k - j - 1, j, from, tail + from, taus[j], stride - from);
+        reflect_all<true>(column + j + 1, k - j - 1, from, tail + from, taus[j], stride - from, j);
     }
 }
 

@@ -199,8 +199,7 @@ class Workspace:
 
     def solve(self, sizes: Sizes, question: Question, memory: Any = None) -> tuple[int, int]:
         """Return the `Ending` of the problem that was written, or has its numbers in `memory`, and how long lists are."""
-        if sizes is not self._sizes:
-            self._tell(sizes)
+        self._tell(sizes)
         told: int = self._solve(self._address, question, memory)
         if told < 0:
             raise MemoryError("no memory for the compiled core")
