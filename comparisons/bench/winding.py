@@ -144,9 +144,10 @@ def stretches_of(episode: Episode, settings: BenchSettings) -> list[range]:
 
 
 def _measure(episode: Episode, settings: BenchSettings, measured: WindingTimes) -> None:
-    loop, rivals = Loop(episode.settings), rivals_of(episode.settings)
+    rivals = rivals_of(episode.settings)
     turn = 0
     for repeat in range(settings.repeats):
+        loop = Loop(episode.settings)  # anew, so that no repeat knows a kind of contact before it comes
         for stretch in stretches_of(episode, settings):
             _measure_stretch(episode, stretch, loop, rivals, measured, turn, first=repeat == 0)
             turn += 1

@@ -2,7 +2,7 @@
 
 import ctypes
 from collections.abc import Sequence
-from itertools import accumulate, pairwise
+from itertools import accumulate, compress, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,12 +45,13 @@ class Layout:
 
     Attributes:
         pattern: a problem with that shape, and with its names, kinds of levels, damping, metric and noise.
+        leaves_out: whether problems do not show those of the hard rows that have an infinite side.
         hands_down: whether the optimum of a damped level is handed down.
         levels: the rows of each level.
     """
 
-    def __init__(self, pattern: IKProblem) -> None:
-        self.pattern, self.hands_down = pattern, pattern.hands_down
+    def __init__(self, pattern: IKProblem, *, leaves_out: bool = False) -> None:
+        self.pattern, self.leaves_out, self.hands_down = pattern, leaves_out, pattern.hands_down
         self.levels = _in_succession([len(level.target) for level in pattern.levels])
         self._pattern_parts = parts = Parts.of(pattern)
         self._shapes = [part.shape for part in parts]
@@ -136,12 +137,20 @@ class PackedProblem(IKProblem):
         return {
             "levels": tuple(levels),
             "bounds": trusted(Bounds, lower=parts.lower, upper=parts.upper, names=pattern.bounds.names),
-            "rows": trusted(Rows, matrix=parts.row_matrix, upper=parts.row_upper, names=pattern.rows.names),
+            "rows": self._rows(parts),
             "reference": parts.reference,
             "equalities": equal,
             "metric": pattern.metric,
             "noise": pattern.noise,
         }
+
+    def _rows(self, parts: Parts) -> Rows:
+        rows = trusted(Rows, matrix=parts.row_matrix, upper=parts.row_upper, names=self.pattern.rows.names)
+        kept = np.isfinite(rows.upper)
+        if not self.layout.leaves_out or kept.all():
+            return rows
+        names = tuple(compress(rows.names, kept.tolist()))
+        return trusted(Rows, matrix=rows.matrix[kept], upper=rows.upper[kept], names=names)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return how to make the same problem elsewhere, without what it was packed by."""

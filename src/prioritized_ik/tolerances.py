@@ -160,9 +160,9 @@ ZOOMED = 1e-9
 #: [of the step] A solver's own step may break a row by this much; beyond, it is not accepted.
 ACCEPTED_VIOLATION = 1e-6
 
-#: [of the step] A row this close to a stage's answer is tight: thirty times what a solver at accuracy 1e-8 leaves open. At
-#: 1e-7 SCS lost one winding of four.
-TIGHT = 3e-7
+#: [of the step] A row this close to a stage's answer is tight: three hundred times what a solver at accuracy 1e-8 leaves
+#: open. At 1e-7 SCS lost one winding of four, at 3e-7 CVXOPT one of eight.
+TIGHT = 3e-6
 
 #: [–] How much of a row must be left to count as one in the QP that a solver gets: divided by less, rounding becomes a
 #: constraint, and at 3e-7 and below ProxQP lost a winding. A solver only makes a guess, which the kernel corrects.
@@ -175,8 +175,8 @@ HELD_MULTIPLIER = 1e-9
 #: [of the size of step that the levels ask for] No bound or row further from the answer than this is held there.
 HELD_SLACK = 1e-5
 
-#: [–] Tight rows that leave a wedge narrower than this leave no room to a QP solver: solvers fail on narrower ones.
-NARROW = 1e-5
+#: [–] Tight rows that leave a wedge narrower than this leave no room to a QP solver: ProxQP failed on one of 4e-5.
+NARROW = 1e-4
 
 # --- Conflicts ----------------------------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ from building import build_script, replace_in_sources
 
 from prioritized_ik.errors import InputError
 from prioritized_ik.models import DIRECTIONS, Arm
+from prioritized_ik.packed import PackedProblem
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled.library import FOLDER, Library, library
 from prioritized_ik.touch import TouchSensor
@@ -76,6 +77,20 @@ def test_along_a_winding_the_two_forms_see_and_pose_the_same(
         for name, array in ours.items():
             assert array.shape == theirs[name].shape, name
             assert np.abs(array - theirs[name]).max(initial=0.0) <= AGREES, name
+
+
+@needs_core
+def test_no_step_waits_for_a_kind_of_problem_that_it_is_the_first_to_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = WindingSettings(tilt=0.1, posture="arched", weights="strict")
+    episode, controller = wind(settings), WindingController(settings)
+    monkeypatch.delattr(compiled, "Layout")
+    kinds = set()
+    for number in range(1, episode.steps):
+        seen = controller.observe(episode.q[number], episode.in_contact[number - 1])
+        problem = controller.problem(episode.q[number], seen)
+        assert isinstance(problem, PackedProblem)
+        kinds.add(problem.layout)
+    assert len(kinds) > SHORT.links
 
 
 @needs_core

@@ -13,10 +13,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from prioritized_ik.limits import OUTSIDE, contact_row_name, joint_names, limited_scalars
+from prioritized_ik.limits import OUTSIDE, limited_scalars
 from prioritized_ik.mujoco_functions import mujoco_functions
 from prioritized_ik.packed import Layout, PackedProblem
-from prioritized_ik.problem import Bounds, IKProblem, Rows, trusted
+from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.touch import ASKEW, TouchSensor
 from prioritized_ik.validation import LARGEST, Array
@@ -70,7 +70,7 @@ class Scene(ctypes.Structure):
                 *("qpos", "xpos", "xmat", "geom_xpos", "geom_xmat", "cdof", "subtree_com"),
                 *("q", "was_in_contact"),
                 *("end_points", "directions", "distance", "normal", "point", "contact_vectors", "desired", "signs"),
-                *("in_contact", "ends", "near", "axes"),
+                *("in_contact", "ends", "axes"),
             )
         ]
     )
@@ -113,13 +113,10 @@ class CompiledLook:
         joints, dofs, places = limited_scalars(model)
         low, high = model.jnt_range[joints].T.copy()
         self._q, self._was = np.zeros(model.nq), np.zeros(n, dtype=bool)
-        # One piece of memory, so that one copy keeps what is seen: vectors and numbers, links that are near, in contact.
-        self._near_at = 8 * n * (3 * len(_VECTORS) + len(_NUMBERS))
-        self._touching_at = self._near_at + 4 * n
+        # One piece of memory, so that one copy keeps what is seen: vectors and numbers, which links are in contact.
+        self._touching_at = 8 * n * (3 * len(_VECTORS) + len(_NUMBERS))
         self._seen = np.zeros(self._touching_at + n, dtype=np.uint8)
-        self._ends = np.zeros(3, dtype=np.int32)
-        self._joint_names = joint_names(model)
-        self._wound = sensor.object_name
+        self._ends = np.zeros(2, dtype=np.int32)
         radius, half_height = sensor.cylinder or (np.inf, 0.0)  # no link is beside that
         none = np.zeros(0, dtype=np.uint8)
         kept: dict[str, NDArray[Any]] = {
@@ -143,7 +140,6 @@ class CompiledLook:
             "was_in_contact": self._was,
             "in_contact": self._seen[self._touching_at :],
             "ends": self._ends,
-            "near": self._seen[self._near_at : self._touching_at],
             "axes": np.zeros((6, m)),
         }
         kept |= {_SEEN.get(name, name): part for name, part in parts_of(self._seen, n).items()}
@@ -188,60 +184,44 @@ class CompiledLook:
         self._was[:] = was_in_contact
         if self._core_observe(self._at):
             return None
-        first, last, count = self._ends.tolist()
+        first, last = self._ends.tolist()
         seen = self._seen.tobytes()
         touching = np.frombuffer(seen, _BOOL, len(self._was), self._touching_at)
-        near = seen[self._near_at : self._near_at + 4 * count]
-        return {"in_contact": touching, "first": first, "last": last, "near": near, "written": seen}
+        return {"in_contact": touching, "first": first, "last": last, "written": seen}
 
     def pose(self, q: Array, to: Any) -> bool:
         """Write the problem at `q` where the arm was observed last to `Numbers`; False as None for `observe`."""
         self._q[:] = q
         return not self._core_pose(self._at, to)
 
-    def posed(self, q: Array, near: bytes) -> tuple[Array, Array, Bounds, Rows] | None:
-        """Return J `(3 n, m)`, dX_v* `(3 n,)`, bounds and the contact rows of the links `near`, as `pose` writes them."""
-        links = np.frombuffer(near, dtype=np.int32).tolist()
-        n, m = len(self._was), len(self._joint_names)
-        matrix, target, bounds = np.zeros((3 * n, m)), np.zeros(3 * n), np.zeros((2, m))
-        rows, sides = np.zeros((len(links), m)), np.zeros(len(links))
-        if not self.pose(q, numbers_at(matrix, target, *bounds, rows, sides, np.arange(0, 3 * n, 3, dtype=np.int32))):
-            return None
-        names = tuple(contact_row_name(link + 1, self._wound) for link in links)
-        return (
-            matrix,
-            target,
-            trusted(Bounds, lower=bounds[0], upper=bounds[1], names=self._joint_names),
-            trusted(Rows, matrix=rows, upper=sides, names=names),
-        )
 
-
-def numbers_at(*arrays: NDArray[Any] | None) -> Any:
+def _numbers_at(*arrays: NDArray[Any] | None) -> Any:
     """Return what tells the core where to write: arrays in the order of `Numbers`, which must live as long."""
     return ctypes.byref(Numbers(*(None if array is None else array.ctypes.data for array in arrays)))
 
 
 class PackedPose:
-    """Problems with the same levels and contact rows, which the core writes where they are packed.
+    """Problems with the same levels, which the core writes where they are packed.
 
     Args:
         look: what poses.
-        pattern: one of them.
+        pattern: one of them, bounded unless none is, and with a row for every link unless none has one: those of links that
+            are far are left out.
         levels: the rows of each level among those of all arms.
         arms: how many these are.
     """
 
     def __init__(self, look: CompiledLook, pattern: IKProblem, levels: Sequence[slice], arms: int) -> None:
-        self._look, self._layout = look, Layout(pattern)
+        self._look, self._layout = look, Layout(pattern, leaves_out=True)
         self._numbers = self._layout.packed()
         parts, self._places = self._layout.parts(self._numbers), np.full(3 * arms, -1, dtype=np.int32)
         for place, run in zip(self._layout.levels, levels, strict=True):
             self._places[run] = np.arange(place.start, place.stop)
         self._places = self._places[::3].copy()
-        keeps_limits, keeps_contacts = np.isfinite(parts.upper).all(), len(parts.row_upper) > 0  # limits bind every step
+        keeps_limits, keeps_contacts = np.isfinite(parts.upper).all(), len(parts.row_upper) > 0
         bounds = (parts.lower, parts.upper) if keeps_limits else (None, None)
         rows = (parts.row_matrix, parts.row_upper) if keeps_contacts else (None, None)
-        self._to = numbers_at(parts.matrix, parts.target, *bounds, *rows, self._places)
+        self._to = _numbers_at(parts.matrix, parts.target, *bounds, *rows, self._places)
 
     def problem(self, q: Array) -> PackedProblem | None:
         """Return the problem at `q`, where the arm was observed last; None as for `CompiledLook.observe`."""

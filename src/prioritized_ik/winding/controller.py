@@ -8,20 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prioritized_ik.late import Late
-from prioritized_ik.limits import CONTACT_MARGIN, contact_rows, joint_range_bounds, step_bounds
-from prioritized_ik.problem import Bounds, IKProblem, Level, Rows, trusted_level, trusted_problem
+from prioritized_ik.limits import CONTACT_MARGIN, contact_row_name, contact_rows, joint_range_bounds, step_bounds
+from prioritized_ik.problem import Bounds, IKProblem, Level, Rows, trusted, trusted_level, trusted_problem
 from prioritized_ik.solvers.tree.step import goes_along_links
 from prioritized_ik.touch import Touch, update_contact
 from prioritized_ik.validation import Array, read_only
 from prioritized_ik.weights import diagonal_of_weights, winding_priorities, winding_weights
 from prioritized_ik.winding.chain import Chain
-from prioritized_ik.winding.compiled import PackedPose, Parts, compiled_look, parts_of, same_look
+from prioritized_ik.winding.compiled import CompiledLook, PackedPose, Parts, compiled_look, parts_of, same_look
 from prioritized_ik.winding.on_tree import OnTree, level_on_tree
 from prioritized_ik.winding.plan import driven_arms, first_and_last_in_contact, plan
 from prioritized_ik.winding.settings import Control, WindingSettings
 
 AXES = 3  # rows of one virtual arm: x, y, z
-KEPT = 64  # kinds of problems, by which links are near: of an arm that creeps on, the oldest do not come back
 
 
 class Equilibrium(Enum):
@@ -68,7 +67,6 @@ class SeenByCore(Situation):
     """A situation as the compiled core wrote it; its arrays are made when looked at.
 
     Attributes:
-        near: the links with contact rows, as a key.
         written: all that the core wrote, the arrays first, see `compiled.parts_of`.
     """
 
@@ -78,7 +76,6 @@ class SeenByCore(Situation):
     contact_vectors: Any = Late()
     desired: Any = Late()
     signs: Any = Late()
-    near: bytes
     written: bytes
 
     def late_fields(self) -> dict[str, Any]:
@@ -112,12 +109,14 @@ class ChainController:
         self.model, self.data = chain.robot.model, chain.robot.data
         self.arms, self.sensor = chain.arms, chain.sensor
         self._groups: dict[int, tuple[RowGroup, ...]] = {}  # by k
-        self._packed: dict[tuple[bytes, int], PackedPose] = {}  # by the links with contact rows, and k
         self._step_bounds = step_bounds(self.model, settings.max_step)
         along_links = not self.sensor.object_moves and goes_along_links(settings.options.kinematics, self.model.nv)
         self._on_tree = OnTree(chain) if along_links else None
         parts = Parts(settings, self.data, self.arms, self.sensor, chain.bodies, CONTACT_MARGIN, not along_links)
         self._compiled = compiled_look(parts) if chain.lies_along_x else None
+        self._poses: list[PackedPose] = []  # by k; made before the loop, of which no step is to wait for that
+        if self._compiled is not None and not along_links:
+            self._poses = [self._pose(self._compiled, k) for k in range(chain.count + 1)]
         self._is_checked = False
         self._seen: SeenByCore | None = None  # what the core saw last
 
@@ -179,24 +178,17 @@ class ChainController:
         """Return the problem of the step from `q`, where `situation` was observed last."""
         if self._on_tree is not None:
             return self._problem_on_tree(self._on_tree, q, situation)
-        if situation is self._seen and (problem := self._packed_problem(q, self._seen)) is not None:
+        if situation is self._seen and (problem := self._poses[situation.last].problem(q)) is not None:
             return problem
         return self._assembled(*self._posed(q, situation), situation.last)
 
-    def _packed_problem(self, q: Array, seen: "SeenByCore") -> IKProblem | None:
-        """Return the problem that the core poses, None where the Python form is to say what is wrong with the positions."""
-        kind = seen.near, seen.last
-        pose = self._packed.get(kind)
-        if pose is None:
-            assert self._compiled is not None
-            posed = self._compiled.posed(q, seen.near)
-            if posed is None:
-                return None
-            if len(self._packed) >= KEPT:
-                del self._packed[next(iter(self._packed))]
-            rows, pattern = [group.rows for group in self._groups_after(seen.last)], self._assembled(*posed, seen.last)
-            pose = self._packed[kind] = PackedPose(self._compiled, pattern, rows, self.arms.count)
-        return pose.problem(q)
+    def _pose(self, look: CompiledLook, last: int) -> PackedPose:
+        """Return what poses problems where `last` is the last link in contact."""
+        n, m, rows = self.arms.count, self.model.nv, [group.rows for group in self._groups_after(last)]
+        names = tuple([contact_row_name(link + 1, self.sensor.object_name) for link in range(n)])
+        contacts = trusted(Rows, matrix=np.zeros((n, m)), upper=np.zeros(n), names=names)
+        pattern = self._assembled(np.zeros((AXES * n, m)), np.zeros(AXES * n), self._step_bounds, contacts, last)
+        return PackedPose(look, pattern, rows, n)
 
     def _assembled(self, jacobian: Array, desired: Array, bounds: Bounds | None, rows: Rows | None, last: int) -> IKProblem:
         """Return the problem of what was posed, where `last` is the last link in contact."""

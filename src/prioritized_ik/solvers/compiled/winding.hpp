@@ -33,11 +33,12 @@ struct Scene {
     // what is seen
     double *end_points, *directions, *distance, *normal, *point, *contact_vectors, *desired, *signs;
     uint8_t* in_contact;
-    int32_t *ends, *near;  // ends: the first and the last link in contact, and how many are near enough for a row: these
+    int32_t* ends;  // the first and the last link in contact
     double* axes;  // room
 };
 
 // Where the numbers of a problem go; null for what it does not have. `places` has the first row of J of each arm, -1 for none.
+// Every link has a contact row; those of links that are far have an infinite side.
 struct Numbers {
     double *matrix, *target, *lower, *upper, *row_matrix, *row_upper;
     const int32_t* places;
@@ -78,9 +79,12 @@ class Look {
             stack(i, to.matrix + size_t(to.places[i]) * m);
             copy(s.desired + 3 * i, to.target + to.places[i], 3);
         }
-        for (int k = 0; to.row_matrix && k < s.ends[2]; k++) {
-            approach(s.near[k], to.row_matrix + size_t(k) * m);
-            to.row_upper[k] = s.gain * max(s.distance[s.near[k]] - s.min_distance, 0.0);
+        for (int i = 0; to.row_matrix && i < n; i++) {
+            double* row = to.row_matrix + size_t(i) * m;
+            const bool is_near = s.distance[i] < s.margin;
+            if (is_near) approach(i, row);
+            else std::fill_n(row, m, 0.0);
+            to.row_upper[i] = is_near ? s.gain * max(s.distance[i] - s.min_distance, 0.0) : INFINITE;
         }
         return DONE;
     }
@@ -175,15 +179,12 @@ class Look {
     }
 
     void find_ends() const {
-        int first = 0, count = 0;
+        int first = 0;
         while (first < n && !s.in_contact[first]) first++;
         int last = first;
         while (last < n && s.in_contact[last]) last++;
-        for (int i = 0; i < n; i++)
-            if (s.distance[i] < s.margin) s.near[count++] = i;
         s.ends[0] = first < n ? first + 1 : 0;
         s.ends[1] = first < n ? last : 0;
-        s.ends[2] = count;
     }
 
     bool bound(double* lower, double* upper) const {
