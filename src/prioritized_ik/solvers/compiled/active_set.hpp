@@ -107,11 +107,6 @@ class ActiveSet : public DualGuess {
         return true;
     }
 
-    bool is_looked_at(int i) const { return level_of_[i] < looked_at_; }
-
-    bool is_exceeded(int i) const { return i >= hard_ && is_looked_at(i) && reach_[i] < -tol_.CERTIFIED * scale_; }
-    bool is_near(int i) const { return is_looked_at(i) && reach_[i] <= tol_.CERTIFIED * scale_ && !is_exceeded(i); }
-
     // Tells rows of soft levels that cannot be kept from those that are tight; returns whether some were not where they belong.
     bool sort_soft() {
         bool moved = false;
@@ -132,13 +127,6 @@ class ActiveSet : public DualGuess {
             exceeded_[i] = is_exceeded(i);
         }
         if (moved) refactor();
-    }
-
-    // Whether the step rests on exactly the rows that it ends on.
-    bool rests_on_near() const {
-        bool same = true;
-        for (int i = 0; i < all_; i++) same = same && active_[i] == is_near(i) && exceeded_[i] == is_exceeded(i);
-        return same;
     }
 
     // Whether u_ is proven optimal from the rows `ids` (t) that it ends on, mended where rounding alone put it off.
@@ -168,12 +156,6 @@ class ActiveSet : public DualGuess {
         for (int i = 0; i < all_; i++)
             if (is_looked_at(i) && !exceeded_[i] && reach_[i] < -tol_.KEPT * scale_) return false;
         return true;
-    }
-
-    void mend() {
-        add(1.0, mend_, u_, stride);
-        keep_frozen();
-        measure();
     }
 
     // The step of exactly the rows that it ends on, so that all guesses that lead there lead to the same bits; proven anew.

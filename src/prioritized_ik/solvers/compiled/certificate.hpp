@@ -14,7 +14,9 @@ class Certified : public Extended {
 
     // Whether u_ is proven optimal from the rows `ids` (t) that it ends on. If not, `wrong_` are the active rows that
     // pull, most first. See certificate.py; rounding explains nothing away here, so that what holds here holds there.
-    bool prove(const int* ids, int t) {
+    // `closely`: looks closer wherever rows have multipliers.
+    bool prove(const int* ids, int t, bool closely = false) {
+        closely_ = closely;
         io.lists[PROOFS]++;
         Scope scope(arena_);
         start_looks();
@@ -573,10 +575,10 @@ class Certified : public Extended {
     double* mend_ = nullptr;  // what the step lacks by rounding,
     bool mends_ = false;      // if that is why the last proof did not end
     double closest_ = 0.0;    // how far rounding may move the step where the last proof looked closer, of the step
-    bool closely_ = false;    // whether a proof looks closer wherever rows have multipliers
 
   private:
     std::vector<double> proof_;
+    bool closely_ = false;
     // How far what levels above leave may be turned by rounding, for rows and for levels, and by half a unit of what is given.
     double blur_ = 0.0, blur_as_given_ = 0.0, given_ = 0.0, off_ = 0.0, above_ = 0.0, handed_ = 0.0;
 };

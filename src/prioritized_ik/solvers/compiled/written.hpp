@@ -12,23 +12,43 @@ class Written : public Certified {
     bool is_written_ = false;
     bool is_open_ = false;  // whether rounding leaves the written step undecided by more than a certificate allows
 
+    // Takes the step by as much further as rounding put it off.
+    void mend() {
+        add(1.0, mend_, u_, stride);
+        keep_frozen();
+        measure();
+    }
+
+    bool is_looked_at(int i) const { return level_of_[i] < looked_at_; }
+    bool is_exceeded(int i) const { return i >= hard_ && is_looked_at(i) && reach_[i] < -tol_.CERTIFIED * scale_; }
+    bool is_near(int i) const { return is_looked_at(i) && reach_[i] <= tol_.CERTIFIED * scale_ && !is_exceeded(i); }
+
+    // Whether the step rests on exactly the rows that it ends on.
+    bool rests_on_near() const {
+        bool same = true;
+        for (int i = 0; i < all_; i++) same = same && active_[i] == is_near(i) && exceeded_[i] == is_exceeded(i);
+        return same;
+    }
+
     // Writes the proven step, if its certificate has margin, or has it where rows with multipliers are looked at closer.
     void conclude(const int* ids, int t) {
-        const double near = tol_.CERTIFIED * scale_;
-        double violation = max(0.0, -worst_hard_);
-        for (int i = 0; i < equalities_; i++)
-            violation = max(violation, abs(dot(equal_ + size_t(i) * stride, u_, stride) - equal_side_[i]));
-        if (violation > tol_.MARGIN * near) throw Declined{UNPROVEN};
-        if (is_weak_ || !is_optimal(tol_.MARGIN) || variation() > tol_.MARGIN * tol_.UNDECIDED) {
-            closely_ = true;
-            const bool is_proven = prove(ids, t);
-            closely_ = false;
-            if (!is_proven || !is_optimal(tol_.CLOSE_MARGIN)) throw Declined{UNPROVEN};
+        const bool is_clear = !is_weak_ && is_optimal(tol_.MARGIN) && variation() <= tol_.MARGIN * tol_.UNDECIDED;
+        if (!is_clear) {
+            for (int again = 0; !prove(ids, t, true) || !is_optimal(tol_.CLOSE_MARGIN); again++) {
+                if (!mends_ || again == int(tol_.REFINEMENTS)) throw Declined{UNPROVEN};
+                mend();
+                if (!rests_on_near()) throw Declined{NEARLY_TIGHT};
+            }
             // A rank tolerance that cuts leaves this core with coarser figures than the Python form has.
             is_open_ = rank_tolerance_ == 0.0 && closest_ > tol_.PLAINLY * tol_.UNDECIDED;
             if (!is_open_ && variation() > tol_.CLOSE_MARGIN * tol_.UNDECIDED) throw Declined{UNPROVEN};
         }
         if (doubt_) throw Declined{NEARLY_DECIDED};
+        const double near = tol_.CERTIFIED * scale_;
+        double violation = max(0.0, -worst_hard_);
+        for (int i = 0; i < equalities_; i++)
+            violation = max(violation, abs(dot(equal_ + size_t(i) * stride, u_, stride) - equal_side_[i]));
+        if (violation > tol_.MARGIN * near) throw Declined{UNPROVEN};
         // What mending it moves, if rows push: Proof._loose.
         if (t && -worst_hard_ > tol_.ROUNDING * scale_ / tol_.MARGIN) throw Declined{UNPROVEN};
         // Beyond, whoever proves a step with this margin finds it loose: a hard row that pushes, or a soft one.
