@@ -99,7 +99,8 @@ class TestBesideThePythonForm:
         far = [
             apart(step.dtheta, by_python(problem).dtheta, problem)
             for name in campaign.supported()
-            if name != "robot_at_rest"  # all of whose steps is less than what a certificate asks for
+            # All of a step at rest is less than what a certificate asks for; rounding by a metric decides more than that.
+            if name not in ("robot_at_rest", "rounded_by_metric")
             for problem, step in answered(name)
         ]
         assert len(far) >= 200

@@ -916,6 +916,21 @@ def mixed(rng: np.random.Generator) -> Sketch:
             return s
 
 
+@kind
+def rounded_by_metric(rng: np.random.Generator) -> Sketch:
+    """Rows that a metric rounds, where that decides: a held level misses much, or large multipliers cancel."""
+    s = Sketch(rng, int(rng.integers(2, 6)))
+    factors = s.rng.integers(1, 4, int(rng.integers(2, 4))) * rng.choice((-1.0, 1.0))
+    s.level(factors[:, None] * s.vector(), s.integers(len(factors), most=9))
+    s.random_levels(int(rng.integers(0, 3)))
+    s.damping[int(rng.integers(len(s.levels)))] = (s.power(-44, -12), "hold")
+    if s.chance(0.5):
+        row = s.vector()
+        s.row(row).row(s.power(-26, -8) * s.vector() - row, s.power(-30, -6))
+    _with_metric(s)
+    return s
+
+
 def _with_metric(s: Sketch) -> None:
     """Measure in a matrix that couples joints."""
     root = s.integers(s.m, s.m, most=2)
@@ -1021,7 +1036,7 @@ def _dot(row: Array, x: exact.Vector) -> Fraction:
 SHORTEST = 2.0**-44  # of the longest row; the library takes what is 64 units in the last place of it for rounding
 BELOW = ("free", "hold")
 FEATURES = (_with_metric, _with_damping, _with_reference, _scaled, _with_rows_nearly_parallel, _with_bounds_near)
-MIXABLE = [name for name in KINDS if name not in ("infeasible", "mixed")]  # those above: one more would change all draws
+MIXABLE = [name for name in KINDS if name not in ("infeasible", "mixed", "rounded_by_metric")]  # one more changes all draws
 
 
 # The judge.

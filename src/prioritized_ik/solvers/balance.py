@@ -25,17 +25,22 @@ def farthest(rows: Array, room: Array, basis: Array) -> float:
     return float(lengths(ways.T) @ room)
 
 
-def exact_gradient(level: Level, felt: DoubleDouble, u: Array) -> tuple[DoubleDouble, Array]:
+def exact_gradient(level: Level, felt: DoubleDouble, u: Array, *, is_rounded: bool) -> tuple[DoubleDouble, Array]:
     """Return feltᵀ AᵀW(A u - b) `(r,)` with twice the digits of doubles, and a bound on its rounding.
 
     Where a level's strong rows are far from what they ask for, rounding of the change of coordinates lets a share of that
-    through to its weak directions. Here the rows are taken as they are given.
+    through to its weak directions. Here the rows are taken as they are given; if they were rounded once before,
+    `is_rounded`, that did so too.
     """
     matrix, (k, m) = DoubleDouble.of(level.matrix), level.matrix.shape
     residual = (matrix @ DoubleDouble.of(u[:, None]) - DoubleDouble.of(level.target[:, None])).times(level.weights[:, None])
     gradient = (felt.T @ (matrix.T @ residual))[:, 0]
     terms = level.weights * (lengths(level.matrix) * length(u) + np.abs(level.target))
-    rounding = FINEST * (k + 3 * m) * lengths(felt.high.T) * float(lengths(level.matrix) @ terms)
+    sizes, rows = lengths(felt.high.T), lengths(level.matrix)
+    rounding = FINEST * (k + 3 * m) * sizes * float(rows @ terms)
+    if is_rounded:
+        turned = float(rows @ np.abs(residual.high[:, 0]))
+        rounding += 0.5 * EPS * (sizes * turned + level.strength * length(u))
     return gradient, rounding
 
 

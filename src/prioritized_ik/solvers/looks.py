@@ -138,7 +138,7 @@ class Looks:
         rounded, blur = _gradient(shortfall, sizes, ROUNDING)
         of_step, gradient = length(blur), DoubleDouble.of(rounded)
         if not level.is_soft:
-            own, blur[:felt] = exact_gradient(solved, directions[:, :felt], self._u)
+            own, blur[:felt] = exact_gradient(solved, directions[:, :felt], self._u, is_rounded=self._hierarchy.is_rounded)
             gradient = own.padded(len(sizes))
         lacking = gradient.where(np.abs(gradient.high) > blur)
         balance = exactly_balanced(self._exact_rows(asked.near), directions, lacking, asked.held, off)
@@ -225,7 +225,8 @@ class Looks:
             decided = self._hierarchy.decided
             above, as_given = (min(blur, decided.turn(1 + number)) for blur in (above, as_given))
             own = min(own, decided.turn(2 + number))
-        off, least = sizes.copy(), above + PROJECTION * (FINEST if closer else EPS)
+        finest = 0.5 * EPS if self._hierarchy.is_rounded else PROJECTION * FINEST
+        off, least = sizes.copy(), above + (finest if closer else PROJECTION * EPS)
         off[:felt] *= least
         off[felt:] *= max(least, own)
         return off, as_given

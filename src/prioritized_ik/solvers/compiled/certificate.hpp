@@ -27,7 +27,8 @@ class Certified : public Extended {
         wrong_.clear();
         off_ = above_ = handed_ = 0.0;
         given_ = equalities_ ? 0.5 * tol_.EPS / equalities_weakest_ : 0.0;
-        blur_ = blur_as_given_ = equalities_ ? tol_.PROJECTION * tol_.EPS / equalities_weakest_ : 0.0;
+        blur_as_given_ = equalities_ ? tol_.PROJECTION * tol_.EPS / equalities_weakest_ : 0.0;
+        blur_ = max(blur_as_given_, is_rounded_ ? finest() : 0.0);
         for (int l = 0; l <= now_.levels; l++) {
             while (own.known < t && level_of_[ids[own.known]] < l) own.known++;
             if (l < looked_at_ && levels_[l].is_soft && !counts_what_is_exceeded(levels_[l])) throw Declined{UNSETTLED};

@@ -96,8 +96,9 @@ class Extended : public Face {
 
     // Takes from directions (v rows of stride) what equalities and the first `above` levels feel of them by rounding. Returns how
     // far they still are from what these leave, as angles: for rows, and for levels. Nothing is left but the rounding of this,
-    // once more rounded; where a metric rounded the rows, half a unit in their last place. If a level is cut by more than
-    // rounding, for rows all that may be, `blur`, and for levels, to which what was cut is none, `as_given`.
+    // once more rounded; where a metric rounded the rows, half a unit in their last place, which turns rows by as much by itself.
+    // If a level is cut by more than rounding, for rows all that may be, `blur`, and for levels, to which what was cut is none,
+    // `as_given`.
     std::pair<double, double> leave_above(int above, Doubled x, int v, double blur, double as_given) {
         double left = as_given * as_given;
         bool is_cut = false;
@@ -114,25 +115,29 @@ class Extended : public Face {
             for (int j = 0; j < v; j++) leave_unfelt(block, block.row, felt, x.from(size_t(j) * stride));
         }
         left = min(as_given, left);
-        return {is_cut ? blur : left, is_cut ? as_given : left};
+        return {max(is_cut ? blur : left, is_rounded_ ? finest() : 0.0), is_cut ? as_given : left};
     }
 
     // How far a row is from the one that was given, relative to its length, or is taken to be.
     double finest() const { return is_rounded_ ? 0.5 * tol_.EPS : tol_.ROUNDING * FINER; }
 
     // The gradient of a level's cost along directions (r rows of stride), and what rounding can feign of it; of the last level's
-    // without block.
+    // without block. Rows that were rounded once turn what they lack towards directions that the level hardly feels.
     void gradient_along(Doubled exact, int r, const Block* block, const double* const* rows, Doubled gradient, double* blur) {
         Scope scope(arena_);
         const Doubled slope = doubled(stride), at{u_, arena_.zeros(stride)};
-        double* sizes = arena_.zeros(stride);
+        double *sizes = arena_.zeros(stride), strength = 0.0, turned = 0.0;
         if (block) {
             for (int i = 0; i < block->n; i++) {
                 const double *row = rows[i], weight = block->weight[i];
                 double size = abs(block->side[i]);
                 for (int j = 0; j < m_; j++) size += abs(row[j] * u_[j]);
-                add(weight * (dot(row, at, stride) + DoubleDouble{-block->side[i]}), row, slope, stride);
+                const DoubleDouble lacking = dot(row, at, stride) + DoubleDouble{-block->side[i]};
+                add(weight * lacking, row, slope, stride);
                 for (int j = 0; j < m_; j++) sizes[j] += weight * size * abs(row[j]);
+                const double square = dot(row, row, stride);
+                strength += weight * square;
+                turned += weight * abs(lacking.high) * sqrt(square);
             }
         } else {
             for (int j = 0; j < m_; j++) {
@@ -143,7 +148,7 @@ class Extended : public Face {
         for (int j = 0; j < r; j++) {
             const Doubled direction = exact.from(size_t(j) * stride);
             gradient.set(j, dot(direction, slope, stride));
-            blur[j] = 0.0;
+            blur[j] = is_rounded_ ? finest() * (sqrt(strength) * size_ + norm(direction.high, stride) * turned) : 0.0;
             for (int k = 0; k < m_; k++) blur[j] += tol_.ROUNDING * FINER * abs(direction.high[k]) * sizes[k];
         }
     }
