@@ -76,3 +76,18 @@ def test_robots_at_rest_beside_their_limits_are_answered(name: str, track: int, 
         answered += step is not None
         assert step is None or step.tight_rows == expected.tight_rows
     assert answered >= resting - 1
+
+
+@pytest.mark.parametrize("levels", [2, 3, 6])
+@pytest.mark.parametrize("track", [1, 2, 3, 5])
+def test_the_many_rows_that_hold_a_humanoid_are_guessed_cold_and_warm(track: int, levels: int) -> None:
+    robot, method = ROBOTS["humanoid"], get_method("active-set")
+    scene = robot.scene(track)
+    most = 0
+    for q in states_of(robot, scene, 6):
+        update_kinematics(scene.model, scene.now, q)
+        step = method.step(problem_of(robot, scene, levels))
+        assert step.path == "compiled"
+        assert step.repairs <= 5  # a search from nothing visits some forty sets
+        most = max(most, len(step.active_rows))
+    assert levels == 2 or most >= 14

@@ -101,6 +101,24 @@ inline void add_rows(const double* factors, const double* rows, int stride, int 
     for (; j < k; j++) add(factors[j], rows + size_t(j) * stride, to, n);
 }
 
+// out := the products of k rows, each `stride` after the other, with b; n is padded
+inline void dots(const double* rows, int stride, int k, const double* b, double* out, int n) {
+    int i = 0;
+    for (; i + 4 <= k; i += 4) {
+        const double *p = rows + size_t(i) * stride, *q = p + stride, *r = q + stride, *s = r + stride;
+        Wide w = {}, x = {}, y = {}, z = {};
+        for (int j = 0; j < n; j += WIDE) {
+            const Wide by = wide(b + j);
+            w += wide(p + j) * by;
+            x += wide(q + j) * by;
+            y += wide(r + j) * by;
+            z += wide(s + j) * by;
+        }
+        four(out + i) = totals(w, x, y, z);
+    }
+    for (; i < k; i++) out[i] = dot(rows + size_t(i) * stride, b, n);
+}
+
 // The least of n, infinite of none.
 inline double least(const double* a, int n) {
     Wide low = wide_of(INFINITE);

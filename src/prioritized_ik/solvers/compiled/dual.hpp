@@ -104,19 +104,21 @@ class DualGuess : public Written {
         carry(&i, 1);
         Scope scope(arena_);
         const int first = start_of(0);
-        double* own = arena_.doubles(stride);
+        double *own = arena_.doubles(stride), *felt = arena_.doubles(stride);
         copy(carried(i), row, m_);
         clear(row + m_, width_ - m_);
         clear(row, first);
         for (int j = rest_; j < m_; j++) row[j] /= weight_[now_.levels];
         for (int l = now_.levels; l-- > 0;) {
             const Block& block = levels_[l];
-            const int c = block.start, r = block.rank, s = block.R.stride;
+            const int c = block.start, r = block.rank, s = block.R.stride, n = padded(r);
             copy(row + c, own, r);
-            clear(own + r, padded(r) - r);
-            for (int j = 0; j < r; j++) row[c + j] = dot(block.inverse + size_t(j) * s, own, padded(j + 1));
-            for (int j = first; j < c; j++) row[j] -= dot(block.above + size_t(j) * s, row + c, r);
-            for (int j = 0; j < r; j++) row[c + j] /= weight_[l];
+            clear(own + r, n - r);
+            dots(block.inverse, s, r, own, felt, n);
+            clear(felt + r, n - r);
+            dots(block.above + size_t(first) * s, s, c - first, felt, own, n);
+            for (int j = first; j < c; j++) row[j] -= own[j - first];
+            for (int j = 0; j < r; j++) row[c + j] = felt[j] / weight_[l];
         }
         if (i >= hard_) row[m_ + i - hard_] = sqrt(gives(i));
         return row;
@@ -125,20 +127,22 @@ class DualGuess : public Written {
     // u_ moves by `part` of a move in z, and the slacks with it.
     void move(double part, const double* z) {
         Scope scope(arena_);
-        double *x = arena_.zeros(stride), *own = arena_.doubles(stride), *solved = arena_.doubles(stride);
+        double *x = arena_.zeros(stride), *own = arena_.doubles(stride), *solved = arena_.doubles(stride);  // x: of -z
+        const int first = start_of(0);
         for (int l = 0; l < now_.levels; l++) {
             const Block& block = levels_[l];
-            const int c = block.start, r = block.rank, s = block.R.stride;
+            const int c = block.start, r = block.rank, s = block.R.stride, n = padded(r);
             for (int j = 0; j < r; j++) own[j] = z[c + j] / weight_[l];
-            for (int j = start_of(0); j < c; j++) add(-x[j], block.above + size_t(j) * s, own, r);
-            clear(solved, padded(r));
-            add_rows(own, block.inverse, s, r, solved, padded(r));
-            copy(solved, x + c, r);
+            clear(own + r, n - r);
+            add_rows(x + first, block.above + size_t(first) * s, s, c - first, own, n);
+            clear(solved, n);
+            add_rows(own, block.inverse, s, r, solved, n);
+            for (int j = 0; j < r; j++) x[c + j] = -solved[j];
         }
-        for (int j = rest_; j < m_; j++) x[j] = z[j] / weight_[now_.levels];
+        for (int j = rest_; j < m_; j++) x[j] = -z[j] / weight_[now_.levels];
         double* step = own;
         out_of(x, step);
-        add(part, step, u_, stride);
+        add(-part, step, u_, stride);
         slacks(u_, reach_);
     }
 
@@ -146,20 +150,24 @@ class DualGuess : public Written {
 
     // Holds those guessed rows whose multipliers are not negative.
     void hold_guessed() {
+        int *ids = arena_.array<int>(all_), t = 0;
         for (int i = 0; i < all_; i++)
-            if (io.guess[i] && side_[i] < INFINITE)
-                if (const double square = project(i); square > 0.0) hold(i, 0.0, sqrt(square));
+            if (io.guess[i] && side_[i] < INFINITE) ids[t++] = i;
+        carry(ids, t);
+        for (int k = 0; k < t; k++)
+            if (const double square = project(ids[k]); square > 0.0) hold(ids[k], 0.0, sqrt(square));
         while (held_) {
             for (int j = 0; j < held_; j++) lambda_[j] = -reach_[ids_of_[j]];
             R_.size = held_;
             R_.solve_transposed(lambda_);
+            copy(lambda_, combination_, held_);
             R_.solve(lambda_);
             const double* least = std::min_element(lambda_, lambda_ + held_);
             if (*least >= 0.0) break;
             let_go(int(least - lambda_));
         }
         clear(residual_, width_);
-        for (int j = 0; j < held_; j++) add(lambda_[j], whitened(ids_of_[j]), residual_, width_);
+        add_rows(combination_, basis_, width_, held_, residual_, width_);
         move(-1.0, residual_);
     }
 
@@ -197,17 +205,20 @@ class DualGuess : public Written {
     // square of what is left, zero if that is rounding. Twice: where little is left, the first time leaves as much rounding.
     double project(int p) {
         const double* row = whitened(p);
+        double* sum = R_.column(held_);
         copy(row, residual_, width_);
         for (int c = 0; c < width_; c++) terms_[c] = abs(row[c]);
-        clear(combination_, held_);
-        for (int twice = 0; twice < 2; twice++)
+        clear(sum, held_);
+        for (int twice = 0; twice < 2; twice++) {
+            dots(basis_, width_, held_, residual_, combination_, width_);
             for (int j = 0; j < held_; j++) {
-                const double *direction = basis_ + size_t(j) * width_, part = dot(direction, residual_, width_);
-                add(-part, direction, residual_, width_);
-                for (int c = 0; c < width_; c++) terms_[c] += abs(part * direction[c]);
-                combination_[j] += part;
+                const double *direction = basis_ + size_t(j) * width_, part = combination_[j] = -combination_[j];
+                for (int c = 0; c < width_ && !twice; c++) terms_[c] += abs(part * direction[c]);
+                sum[j] -= part;
             }
-        copy(combination_, R_.column(held_), held_);
+            add_rows(combination_, basis_, width_, held_, residual_, width_);
+        }
+        copy(sum, combination_, held_);
         R_.solve_leading(combination_, held_);
         for (int c = 0; c < width_; c++)
             if (abs(residual_[c]) > INDEPENDENT * terms_[c]) return dot(residual_, residual_, width_);

@@ -73,7 +73,15 @@ inline bool nonnegative_least_squares(const double* rows, int stride, int t, int
         for (int j = 0; j < k; j++) x[order[j]] = z[j];
         return false;
     }
+    // Then those of them that have a share, where that is a start; or else none.
+    const double largest = *std::max_element(z, z + k);
     for (int i = 0; i < t; i++) inside[i] = barred[i] = 0;
+    for (int j = 0; j < k; j++) inside[order[j]] = z[j] > LEFT_OUT * largest;
+    if (solve(k) && positive(k)) {
+        for (int j = 0; j < k; j++) x[ids[j]] = z[j];
+    } else {
+        std::memset(inside, 0, t);
+    }
     for (int iteration = 0; iteration < 3 * t + 30; iteration++) {
         copy(target, rest, n);
         double terms = size;  // a gain that rounding of these can feign is none

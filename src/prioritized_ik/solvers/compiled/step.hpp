@@ -74,14 +74,15 @@ class Step : public ActiveSet {
             if (question == CLOSED_FORM_ONLY) return BINDING;
         }
         // Rows of the last step say little of a problem of another kind, as once another link of a winding is in contact.
-        if (guessed) {
-            for (const bool is_warm : {true, false}) {
-                if (is_warm && io.settings[3]) continue;
+        for (const bool is_warm : {true, false}) {
+            if (is_warm && (!guessed || io.settings[3])) continue;
+            try {
                 if (search_by_multipliers(is_warm)) return SOLVED;
-                exceed_none();
-                face(nullptr, 0);
-                measure();
+            } catch (const Declined&) {  // there is more to try
             }
+            exceed_none();
+            face(nullptr, 0);
+            measure();
         }
         std::memset(active_, 0, all_);
         start_search();

@@ -32,6 +32,7 @@ class Written : public Certified {
 
     // Writes the proven step, if its certificate has margin, or has it where rows with multipliers are looked at closer.
     void conclude(const int* ids, int t) {
+        is_open_ = false;
         const bool is_clear = !is_weak_ && is_optimal(tol_.MARGIN) && variation() <= tol_.MARGIN * tol_.UNDECIDED;
         if (!is_clear) {
             for (int again = 0; !prove(ids, t, true) || !is_optimal(tol_.CLOSE_MARGIN); again++) {
