@@ -174,7 +174,8 @@ def _fields(written: Written) -> dict[str, Any]:
     """Return the fields of a step that are put together late."""
     problem, rank_tolerance, dtheta, answer, active, seconds = written
     lists, names = answer.all_lists(), active.names
-    levels = len(problem.levels)
+    pattern = problem.pattern  # has what is asked of the problem here; its own parts may not have been looked at
+    levels = len(pattern.levels)
     end, figures = FIGURES * (levels + 1), answer.all_figures(levels)
     corrections, _, _, computed_from, exceeded, tight, zero, holding = lists[:COUNTS]
     exceeded += computed_from + COUNTS
@@ -198,7 +199,7 @@ def _fields(written: Written) -> dict[str, Any]:
         "certificate": certificate,
         "repairs": corrections,
         "levels": DeferredReports(problem, rank_tolerance, dtheta),
-        "zeros": _row_names(problem, lists[tight:zero], names[2 * problem.joint_count :]) if zero > tight else (),
+        "zeros": _row_names(pattern, lists[tight:zero], names[2 * problem.joint_count :]) if zero > tight else (),
         "active_rows": active.named(),
         "timings": Timings(seconds, 0.0),
     }
