@@ -10,7 +10,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import compress
 from typing import TypeVar
 
@@ -18,6 +18,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
+from prioritized_ik.double_double import DoubleDouble
 from prioritized_ik.errors import InputError
 from prioritized_ik.tolerances import NOISE, ROUNDING
 from prioritized_ik.validation import (
@@ -404,13 +405,16 @@ class IKProblem:
                 names=(*names, *equalities.names),
             )
             bounds, rows = Bounds.none(m), self.inequalities
+        stacked = [*(level.matrix for level in self.levels), rows.matrix, equalities.matrix]
+        ends = np.cumsum([len(matrix) for matrix in stacked])
+        *matrices, of_rows, of_equalities = np.split(self._divided(np.concatenate(stacked)), ends[:-1])
         return trusted(
             IKProblem,
-            levels=tuple(replaced(level, matrix=self._divided(level.matrix)) for level in self.levels),
+            levels=tuple(replaced(level, matrix=own) for level, own in zip(self.levels, matrices, strict=True)),
             bounds=bounds,
-            rows=replaced(rows, matrix=self._divided(rows.matrix)),
+            rows=replaced(rows, matrix=of_rows),
             reference=self.to_metric(self.reference),
-            equalities=replaced(equalities, matrix=self._divided(equalities.matrix)),
+            equalities=replaced(equalities, matrix=of_equalities),
             metric=np.ones(m),
             noise=self.noise,
         )
@@ -423,12 +427,12 @@ class IKProblem:
     def from_metric(self, u: Array) -> Array:
         """Return dθ = L⁻¹ u `(m,)`."""
         root = self.metric_root
-        return u / root if root.ndim == 1 else scipy.linalg.solve_triangular(root, u)
+        return u / root if root.ndim == 1 else _solved(root, u[:, None], "N")[:, 0]
 
     def _divided(self, matrix: Array) -> Array:
-        """Return `matrix` `(k, m)` L⁻¹."""
+        """Return `matrix` `(k, m)` L⁻¹, right to the last digit but one."""
         root = self.metric_root
-        return matrix / root if root.ndim == 1 else scipy.linalg.solve_triangular(root, matrix.T, trans="T").T
+        return matrix / root if root.ndim == 1 else _solved(root, matrix.T, "T").T
 
     @property
     def joint_count(self) -> int:
@@ -702,6 +706,17 @@ def _positive_metric(metric: ArrayLike, m: int) -> Array:
         place = int(np.argmin(diagonal))
         raise InputError(f"metric[{place}] is {diagonal[place]}; expected numbers above 0, and above {LEAST_METRIC:g}.")
     return diagonal
+
+
+def _solved(root: Array, right: Array, trans: str) -> Array:
+    """Return x `(m, k)` with L x = `right` `(m, k)`, or Lᵀ x if `trans` is "T", refined with twice the digits of doubles.
+
+    Rows that doubles alone divide are off by as much more as L is ill-conditioned, which a certificate could not know.
+    """
+    solve = partial(scipy.linalg.solve_triangular, root, trans=trans)
+    exact, wanted = DoubleDouble.of(root if trans == "N" else root.T), DoubleDouble.of(right)
+    found: Array = solve(right)
+    return found + solve((wanted - exact @ DoubleDouble.of(found)).rounded) if right.size else found
 
 
 def _rounding_of(sides: Array) -> float:

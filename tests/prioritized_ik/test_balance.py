@@ -5,13 +5,13 @@ from functools import partial
 import numpy as np
 import pytest
 
+from prioritized_ik.double_double import DoubleDouble
 from prioritized_ik.problem import IKProblem, Level, Rows
 from prioritized_ik.solvers.active_set import face_solution
 from prioritized_ik.solvers.balance import balanced, exactly_balanced
 from prioritized_ik.solvers.certificate import Proof
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.decided import Decided, Decision
-from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.tolerances import EPS, ROUNDING
 

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from prioritized_ik.solvers.double_double import DoubleDouble
+from prioritized_ik.double_double import DoubleDouble
 from prioritized_ik.tolerances import FINEST
 
 

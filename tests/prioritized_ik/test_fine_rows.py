@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from trees import end_points, random_tree
 
+from prioritized_ik.double_double import DoubleDouble
 from prioritized_ik.kinematic_tree import BASE, PointRows
-from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.solvers.tree.fine_rows import FineRows
 
 FINE = 1e-28  # [of the terms]

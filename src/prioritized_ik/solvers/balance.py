@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from prioritized_ik.double_double import DoubleDouble
 from prioritized_ik.problem import Level
-from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.solvers.subspaces import least_squares, nonnegative_least_squares, pseudoinverse
 from prioritized_ik.tolerances import BALANCINGS, DEPENDENT, EPS, FINEST, ROUNDING, TURNS
 from prioritized_ik.validation import Array, length, lengths

@@ -36,7 +36,7 @@ from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.level_proof import LevelProof
 from prioritized_ik.solvers.looks import Conditions, Looks
 from prioritized_ik.solvers.subspaces import Range
-from prioritized_ik.tolerances import CERTIFIED, GAP, LEAST_DEMAND, NOTHING, OFF, ROUNDING, UNDECIDED
+from prioritized_ik.tolerances import CERTIFIED, EPS, GAP, LEAST_DEMAND, NOTHING, OFF, ROUNDING, UNDECIDED
 from prioritized_ik.validation import Array, finite_array, length, lengths, size, tolerance_above_rounding
 
 FAR = 1e300  # a row that no level above holds can move any way
@@ -252,7 +252,9 @@ class Proof:
             apart = np.where(slack > ROUNDING * self.scale, slack, 0.0)
             room = np.where(back, np.minimum(self._leak[near], FAR), apart)
             gap += 2.0 * float(force @ room)
-            carried += 2.0 * float(force @ (slack - apart))
+            # A slack's own sum is rounded, and its row may have been.
+            feigned = (1.0 if self._hierarchy.is_rounded else 0.5) * EPS * length(self._u)
+            carried += 2.0 * float(force @ (slack - apart)) + 2.0 * float(force.sum()) * feigned
             net = np.abs(look.balance.multipliers)
             counts = net > np.maximum(NOTHING * (look.size + net.sum() + shortfall.strength * self.scale), look.doubtful)
             multipliers[near] = np.where(counts, pull, 0.0)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
-from prioritized_ik.solvers.double_double import DoubleDouble
+from prioritized_ik.double_double import DoubleDouble
 from prioritized_ik.tolerances import EPS, FINEST, TURNS
 from prioritized_ik.validation import Array
 

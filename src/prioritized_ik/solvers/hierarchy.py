@@ -18,11 +18,11 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from prioritized_ik.double_double import DoubleDouble
 from prioritized_ik.problem import IKProblem, Level, replaced, trusted_level
 from prioritized_ik.solvers.blocks import HARD, Block, EqualBlock, PooledRows, SoftBlock, equal_block, without
 from prioritized_ik.solvers.closed_form import RANK_TOLERANCE
 from prioritized_ik.solvers.decided import Decided, Decision
-from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.solvers.subspaces import Range
 from prioritized_ik.tolerances import (
     AMPLE,

@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from prioritized_ik.problem import IKProblem
+from prioritized_ik.problem import IKProblem, Level
 from prioritized_ik.solvers import active_set
 from prioritized_ik.solvers.active_set import Active, Solution
 from prioritized_ik.solvers.backends.protocol import Backend
@@ -42,7 +42,7 @@ from prioritized_ik.tolerances import (
     TIGHT,
     WEAK,
 )
-from prioritized_ik.validation import Array, fraction, non_negative, one_of, tolerance_above_rounding
+from prioritized_ik.validation import Array, fraction, length, non_negative, one_of, tolerance_above_rounding
 
 
 @dataclass(frozen=True)
@@ -178,19 +178,35 @@ def _damped_step(problem: IKProblem, start: Start, options: SolveOptions) -> Joi
     step = _undamped_step(aimed, start, options)
     if step.dtheta is not None:
         step = replace(step, costs=tuple(level.cost(step.dtheta) for level in problem.levels))
-        step = _no_surer_than(optima, step)
+        step = _no_surer_than(optima, step, problem)
     return replace(step, timings=replace(step.timings, build=step.timings.build + timings.build))
 
 
-def _no_surer_than(optima: Collection[JointStep], step: JointStep) -> JointStep:
-    """Return a step that asks for what damped `optima` reach: undecided by as much as they are, and proven if they are."""
+def _no_surer_than(optima: Collection[JointStep], step: JointStep, problem: IKProblem) -> JointStep:
+    """Return a step that asks for what damped `optima` reach: undecided by as much as they are, and proven if they are.
+
+    What a level's cost changes where the step of `problem` moves by as much is part of its gap.
+    """
     if step.certificate is None:
         return step
     found = [one.certificate for one in optima if one.certificate is not None]
     undecided = max([one.variation if one.is_optimal else 1.0 for one in found], default=0.0)
     *others, last = step.certificate.rounding
     certificate = replace(step.certificate, rounding=(*others, max(last, undecided)))
+    if undecided and step.dtheta is not None:
+        scaled, u = problem.in_metric, problem.to_metric(step.dtheta)
+        moved = undecided * length(u)
+        last_level = 2.0 * length(u - scaled.reference) * moved + moved**2
+        more = [*(_cost_of_moving(level, u, moved) for level in scaled.levels), last_level]
+        gaps = tuple(gap + cost for gap, cost in zip(certificate.gaps, more, strict=True))
+        certificate = replace(certificate, gaps=gaps)
     return replace(step, certificate=certificate, status=step.status if certificate.holds else StepStatus.UNCERTIFIED)
+
+
+def _cost_of_moving(level: Level, u: Array, moved: float) -> float:
+    """Return how much a level's cost at `u` `(m,)` changes at most where that moves so far."""
+    residual = level.residual(u)
+    return 2.0 * length((level.weights * residual) @ level.matrix) * moved + (level.strength * moved) ** 2
 
 
 def _undamped_step(problem: IKProblem, start: Start, options: SolveOptions, method: str = "") -> JointStep:

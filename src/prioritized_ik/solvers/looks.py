@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from prioritized_ik.double_double import DoubleDouble
 from prioritized_ik.problem import Level
 from prioritized_ik.solvers.balance import Balance, Look, balanced, exact_basis, exact_gradient, exactly_balanced
 from prioritized_ik.solvers.blocks import EqualBlock, Shortfall
-from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.solvers.hierarchy import Hierarchy
 from prioritized_ik.solvers.subspaces import are_independent, singular_values
 from prioritized_ik.tolerances import EPS, FINEST, LEAKS, NOISE, PLAIN, PROJECTION, ROUNDING, UNDECIDED

@@ -183,6 +183,7 @@ class Certified : public Extended {
             const bool is_more = abs(share) > tol_.NOTHING * (g.terms + sum + g.size);
             const bool counts = is_more && doubtful.is_passed(abs(share), look.normals + size_t(i) * stride);
             const bool back = i < look.held && pull < 0.0;
+            touching += 2.0 * abs(pull) * rounding_of_slacks();
             // Nearer than the rounding of the step itself it is on the row.
             if (back || slack > tol_.ROUNDING * scale_) gap += 2.0 * abs(pull) * (back ? own.leak[k] : slack);
             else touching += 2.0 * abs(pull) * slack;
@@ -332,6 +333,9 @@ class Certified : public Extended {
         look.explained = max(sqrt(explained), block ? leak * block->longest : 0.0);
         return true;
     }
+
+    // How far a slack can be off: its sum is rounded, and the row may have been.
+    double rounding_of_slacks() const { return (is_rounded_ ? 1.0 : 0.5) * tol_.EPS * size_; }
 
     // How long a step rounding of doubles can feign at most.
     double feigned(const Look& look) const { return max(look.explained, tol_.CERTIFIED * scale_ / tol_.MARGIN); }

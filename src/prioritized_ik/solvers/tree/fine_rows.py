@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from prioritized_ik.double_double import DoubleDouble
 from prioritized_ik.kinematic_tree import BASE, PointRows
-from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.validation import Array
 
 

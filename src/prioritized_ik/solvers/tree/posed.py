@@ -4,11 +4,11 @@ from functools import cached_property
 
 import numpy as np
 
+from prioritized_ik.double_double import DoubleDouble
 from prioritized_ik.kinematic_tree import BASE, PointRows
 from prioritized_ik.problem import IKProblem
 from prioritized_ik.solvers.compiled.library import library
 from prioritized_ik.solvers.compiled.tree import CompiledElimination
-from prioritized_ik.solvers.double_double import DoubleDouble
 from prioritized_ik.solvers.tree.elimination import Elimination
 from prioritized_ik.solvers.tree.factors import Factors, TreeRowsOnJoints
 from prioritized_ik.solvers.tree.fine_rows import FineRows
