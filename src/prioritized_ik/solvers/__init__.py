@@ -24,7 +24,7 @@ Long arms go joint by joint (`tree`), where `joint_step` asks it first; most oth
 (`compiled`), which it asks next.
 
 `blocks.py` holds what a hierarchy is made of, `subspaces.py` the geometry. A proof looks at each level (`looks.py`): rows
-balance its gradient (`balance.py`) or do not (`level_proof.py`), in doubles or with twice their digits (`prioritized_ik.double_double`)
-in what the levels above leave (`decided.py`). `prioritized_ik.tolerances` holds the thresholds, and `witness.py` is a
+balance its gradient (`balance.py`) or do not (`level_proof.py`), in doubles or with twice their digits, in what the levels
+above leave (`decided.py`). `prioritized_ik.tolerances` holds the thresholds, and `witness.py` is a
 reference in CVXPY that shares no code with any of this.
 """

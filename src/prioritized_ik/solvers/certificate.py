@@ -147,6 +147,9 @@ class Proof:
         self._looks = Looks(hierarchy, u, self.scale, tolerance)
         #: Which rows it breaks beyond rounding.
         self._broken = ((self.slack < -ROUNDING * self.scale) & ~self.exceeded).nonzero()[0]
+        #: How far a slack can be off: its sum is rounded, and its row may have been.
+        self._rounding_of_slacks = (1.0 if hierarchy.is_rounded else 0.5) * EPS * length(u)
+        self._turned = 0.0  # how far that moves the step where rows that hold meet at sharp angles
         self._off = 0.0  # by how much the step is off at the levels so far, in what they decide
         self._above = 0.0  # how far rounding can have moved the step at the levels so far
         #: How far the step may go within the room that rows have: what is broken of hard ones, to begin with.
@@ -252,9 +255,7 @@ class Proof:
             apart = np.where(slack > ROUNDING * self.scale, slack, 0.0)
             room = np.where(back, np.minimum(self._leak[near], FAR), apart)
             gap += 2.0 * float(force @ room)
-            # A slack's own sum is rounded, and its row may have been.
-            feigned = (1.0 if self._hierarchy.is_rounded else 0.5) * EPS * length(self._u)
-            carried += 2.0 * float(force @ (slack - apart)) + 2.0 * float(force.sum()) * feigned
+            carried += 2.0 * float(force @ (slack - apart)) + 2.0 * float(force.sum()) * self._rounding_of_slacks
             net = np.abs(look.balance.multipliers)
             counts = net > np.maximum(NOTHING * (look.size + net.sum() + shortfall.strength * self.scale), look.doubtful)
             multipliers[near] = np.where(counts, pull, 0.0)
@@ -262,6 +263,8 @@ class Proof:
             self._leak[first] = (gap + rounding) / multipliers[first]
             carrying = counts & ~back
             if np.count_nonzero(carrying):
+                rounded = np.full(np.count_nonzero(carrying), self._rounding_of_slacks)
+                self._turned = max(self._turned, farthest(self._looks.rows[near[carrying]], rounded, free))
                 far = self._loosened(near[carrying], force[carrying], shortfall.felt, free, number)
                 self._loose = max(self._loose, self._evaded(near[carrying], look, shortfall.felt, number))
                 if look.falls(felt.shape[1], carrying, self._hierarchy.turned_as_given(number)):
@@ -269,7 +272,8 @@ class Proof:
                 loosened = max(loosened, far)
         drawn, above, handed = self._follow(level, pulled, felt, near, pull, look.displacement)
         self._off, self._above = drawn + excess, max(above, look.explained, loosened)
-        carried += rounding + handed + (steepness + 2.0 * look.balance.pulled) * above + (level.strength * above) ** 2
+        carried += rounding + handed + (level.strength * above) ** 2 + (level.strength * self._turned) ** 2
+        carried += (steepness + 2.0 * look.balance.pulled) * (above + self._turned)
         return LevelProof(
             level.name,
             gap,

@@ -209,7 +209,9 @@ class Certified : public Extended {
         const double moved = g.strength * carried_over;
         double steepness = g.steepness;  // rows follow what levels above move, too
         for (int i = 0; i < look.n; i++) steepness += 2.0 * abs(look.combination[i]) / look.sizes[i];
-        figures[LEVEL_GAP] = gap + rounded + touching + steepness * carried_over + moved * moved;
+        // Where rows that hold meet at a sharp angle, the rounding of their slacks moves the step by far more.
+        const double turned = sharpness_ * rounding_of_slacks(), lost = g.strength * turned;
+        figures[LEVEL_GAP] = gap + rounded + touching + steepness * (carried_over + turned) + moved * moved + lost * lost;
         if (!last) {
             given_ = max(given_, given(block));
             blur_ = max(blur_, block->blur);

@@ -84,6 +84,7 @@ class Face : public Factored {
     void face(const int* ids, int t) {
         io.lists[FACES]++;
         doubt_ = is_weak_ = false;
+        sharpness_ = 0.0;
         Scope scope(arena_);
         double *rows = arena_.doubles(size_t(t) * stride), *sides = arena_.doubles(t);
         bool drifting = false;
@@ -247,6 +248,7 @@ class Face : public Factored {
             const double* row = rows + size_t(i) * stride;
             wanted[i] = sides[i] - dot(row, x_, c);
             if (abs(parted_.row[i][i]) < tol_.WEAKEST * norm(row + c, r)) is_weak_ = true;
+            sharpness_ += 1.0 / abs(parted_.row[i][i]);
         }
         for (int k = 0; k < parted_.count; k++) {
             const double unmet = parted_.sides[k] - dot(parted_.combinations + size_t(k) * stride, x_, c);
@@ -312,7 +314,7 @@ class Face : public Factored {
     void meet(const double* rows, const double* sides, int t, int c, int r, const Block* block, double* y) {
         if (!t || !r) return;
         Scope scope(arena_);
-        double *normals = arena_.zeros(size_t(t) * stride), *gaps = arena_.doubles(t);
+        double *normals = arena_.zeros(size_t(t) * stride), *gaps = arena_.doubles(t), *lengths = arena_.doubles(t);
         int *from = arena_.array<int>(t), moving = 0, n = 0;
         for (int i = 0; i < t; i++) {
             const double* row = rows + size_t(i) * stride;
@@ -326,13 +328,15 @@ class Face : public Factored {
             if (size == 0.0) continue;
             double* normal = normals + size_t(n) * stride;
             for (int j = 0; j < r; j++) normal[j] = turned[j] / size;
+            lengths[n] = size;
             gaps[n++] = (sides[from[i]] - dot(row, x_, c)) / size;
         }
-        if (n) shift(normals, gaps, n, r, y);
+        if (n) shift(normals, gaps, lengths, n, r, block ? block->longest : 1.0, y);
     }
 
-    // y := y + the shortest shift with normals (n) y = gaps; twice, as the first leaves the rounding of a large y.
-    void shift(const double* normals, const double* gaps, int n, int r, double* y) {
+    // y := y + the shortest shift with normals (n), of these lengths before, y = gaps; twice, as the first leaves the rounding of
+    // a large y. A step of y moves joints by `most` at most.
+    void shift(const double* normals, const double* gaps, const double* lengths, int n, int r, double most, double* y) {
         Scope scope(arena_);
         const int s = padded(r);
         double* work = arena_.zeros(size_t(n) * s);
@@ -349,6 +353,9 @@ class Face : public Factored {
         const int rank = row_pivoted_lq(row, ids, n, n, 0, r, s, chain, tol_.DEPENDENT, left, arena_);
         for (int i = 0; i < rank; i++)
             if (abs(row[i][i]) < tol_.WEAKEST) is_weak_ = true;
+        double sharpness = 0.0;
+        for (int i = 0; i < rank; i++) sharpness += most / (lengths[ids[i]] * abs(row[i][i]));
+        sharpness_ = max(sharpness_, sharpness);
         double *z = arena_.doubles(s), *gap = arena_.doubles(n);
         for (int again = 0; again < 2; again++) {
             clear(z, s);
@@ -455,6 +462,7 @@ class Face : public Factored {
     double closed_form_ = 0.0, broken_ = 0.0, worst_ = 0.0, worst_hard_ = 0.0, size_ = 0.0, scale_ = 0.0;
     bool doubt_ = false;    // whether a row may count or not
     bool is_weak_ = false;  // whether rows that hold nearly say the same, so that they decide the step to few digits
+    double sharpness_ = 0.0;  // how far the step moves at most, a unit by which rows that hold do
     double* drift_ = nullptr;       // of inequalities in x, where they have any
     int* settled_from_ = nullptr;   // the coordinate from which on an inequality counts for nothing, m if none
 
