@@ -18,6 +18,7 @@ ROOT = Path(prioritized_ik.__file__).parent
 LAYERS = [
     {"errors", "tolerances", "late"},
     {"validation", "files", "rendering", "extras"},
+    {"double_double"},
     {"pictures", "processes", "kinematic_tree", "model_cache", "mujoco_functions"},
     {"models", "jacobians", "model_tree"},
     {"virtual_arms"},
