@@ -1,4 +1,5 @@
 import dataclasses
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -729,3 +730,18 @@ def test_bounds_of_other_joints_or_sides_have_other_inequalities() -> None:
         for name, row in zip(found.names, found.matrix, strict=True):
             joint, side = name.split()
             assert np.array_equal(row, (1.0 if side == "upper" else -1.0) * np.eye(2)[names.index(joint)])
+
+
+def test_rows_are_divided_by_the_root_of_an_ill_conditioned_metric_to_the_last_digit():
+    rng = np.random.default_rng(0)
+    for size in (1e-3, 1e-5):
+        skewed = np.triu(rng.normal(size=(5, 5)))
+        skewed[np.diag_indices(5)] = np.geomspace(1.0, size, 5)
+        problem = IKProblem([Level(rng.normal(size=(3, 5)), np.zeros(3))], metric=skewed.T @ skewed + 1e-3 * size * np.eye(5))
+        root = [[Fraction(value) for value in row] for row in problem.metric_root.tolist()]
+        for row, divided in zip(problem.levels[0].matrix, problem.in_metric.levels[0].matrix, strict=True):
+            exact: list[Fraction] = []
+            for j in range(5):
+                before = sum((exact[i] * root[i][j] for i in range(j)), Fraction(0))
+                exact.append((Fraction(float(row[j])) - before) / root[j][j])
+            assert divided == pytest.approx([float(value) for value in exact], rel=4e-16)
