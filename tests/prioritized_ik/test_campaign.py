@@ -93,8 +93,8 @@ def test_no_certificate_holds_for_the_optimum_of_fewer_levels(name: str, request
     assert not tallies[name].fatal, campaign.table(tallies, reasons=True)
 
 
-#: Steps whose costs were further from the optimum than the gaps of their certificates, some by a hundred times: rows that meet
-#: at sharp angles, damped optima that are open to rounding, rows in a metric that couples joints.
+#: Steps whose costs were further from the optimum than the gaps of their certificates, some by a hundred times: rows that
+#: meet at sharp angles, damped optima that are open to rounding, rows in a metric that couples joints.
 LARGER_GAPS = {
     "mixed": [
         *(810383, 812401, 812507, 812926, 813654, 814083, 814159, 814446, 814512, 815205, 821140, 821303, 830464),

@@ -737,7 +737,8 @@ def test_rows_are_divided_by_the_root_of_an_ill_conditioned_metric_to_the_last_d
     for size in (1e-3, 1e-5):
         skewed = np.triu(rng.normal(size=(5, 5)))
         skewed[np.diag_indices(5)] = np.geomspace(1.0, size, 5)
-        problem = IKProblem([Level(rng.normal(size=(3, 5)), np.zeros(3))], metric=skewed.T @ skewed + 1e-3 * size * np.eye(5))
+        metric = skewed.T @ skewed + 1e-3 * size * np.eye(5)
+        problem = IKProblem([Level(rng.normal(size=(3, 5)), np.zeros(3))], metric=metric)
         root = [[Fraction(value) for value in row] for row in problem.metric_root.tolist()]
         for row, divided in zip(problem.levels[0].matrix, problem.in_metric.levels[0].matrix, strict=True):
             exact: list[Fraction] = []
