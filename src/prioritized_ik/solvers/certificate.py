@@ -15,9 +15,9 @@ with leak_i how far a row that a level above holds can move without costing that
 counted in coordinates in which Q_ℓ is ‖·‖² (along directions that the level does not feel: times the size of the step).
 Where the levels above are decided to rounding only, the step may be off by v, and the level's cost by
 2 (‖A_ℓᵀW_ℓ(A_ℓ u - b_ℓ)‖ + Σ |λ_i|) v + ‖W_ℓ^½ A_ℓ‖² v² more, as rows follow, and by what mending the levels above would
-cost it. So complementary slackness is part of the bound: a row merely near cannot carry a multiplier for nothing. A slack
-is a rounded sum: that counts, too, and how far it moves the step where rows meet at a sharp angle. What the conditions leave
-over is told as a joint displacement as well, because a level may hardly feel what decides the step.
+cost it. So complementary slackness is part of the bound: a row merely near cannot carry a multiplier for nothing. A
+slack is a rounded sum: that counts, too, and how far it moves the step where rows meet at a sharp angle. What the
+conditions leave over is told as a joint displacement as well, because a level may hardly feel what decides the step.
 
 Everything is in the problem's joint metric.
 """
