@@ -90,6 +90,15 @@ inline void add(double factor, const double* from, double* to, int n) {
     for (; i < n; i++) to[i] += factor * from[i];
 }
 
+// to[i] += |factor * from[i]|, n padded
+inline void add_sizes(double factor, const double* from, double* to, int n) {
+    const Wide f = wide_of(factor);
+    for (int i = 0; i < n; i += WIDE) {
+        const Wide x = f * wide(from + i);
+        wide(to + i) += x > -x ? x : -x;
+    }
+}
+
 // to += factors[0] * rows[0] + … of k rows, each `stride` after the other and zero where it is not to count; n is padded
 inline void add_rows(const double* factors, const double* rows, int stride, int k, double* to, int n) {
     int j = 0;

@@ -184,6 +184,8 @@ class DualGuess : public Written {
     bool hold_broken(int p, int& changes) {
         for (double lambda = 0.0; changes-- > 0;) {
             const double square = project(p);
+            copy(R_.column(held_), combination_, held_);
+            R_.solve_leading(combination_, held_);
             const int first = first_to_vanish();
             const double least = first < held_ ? lambda_[first] / combination_[first] : INFINITE;
             const double full = square > 0.0 ? max(-reach_[p] - lambda * gives(p), 0.0) / square : INFINITE;
@@ -201,8 +203,8 @@ class DualGuess : public Written {
         return false;
     }
 
-    // residual_ := what of row p is left beside those that are held, combination_ := how much of each is in it. Returns the
-    // square of what is left, zero if that is rounding. Twice: where little is left, the first time leaves as much rounding.
+    // residual_ := what of row p is left beside those that are held, and the next column of R what is in it of their basis.
+    // Returns the square of what is left, zero if that is rounding. Twice: where little is left, the first time leaves as much rounding.
     double project(int p) {
         const double* row = whitened(p);
         double* sum = R_.column(held_);
@@ -213,13 +215,11 @@ class DualGuess : public Written {
             dots(basis_, width_, held_, residual_, combination_, width_);
             for (int j = 0; j < held_; j++) {
                 const double *direction = basis_ + size_t(j) * width_, part = combination_[j] = -combination_[j];
-                for (int c = 0; c < width_ && !twice; c++) terms_[c] += abs(part * direction[c]);
+                if (!twice) add_sizes(part, direction, terms_, width_);
                 sum[j] -= part;
             }
             add_rows(combination_, basis_, width_, held_, residual_, width_);
         }
-        copy(sum, combination_, held_);
-        R_.solve_leading(combination_, held_);
         for (int c = 0; c < width_; c++)
             if (abs(residual_[c]) > INDEPENDENT * terms_[c]) return dot(residual_, residual_, width_);
         return 0.0;
