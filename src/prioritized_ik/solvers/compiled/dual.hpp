@@ -204,7 +204,8 @@ class DualGuess : public Written {
     }
 
     // residual_ := what of row p is left beside those that are held, and the next column of R what is in it of their basis.
-    // Returns the square of what is left, zero if that is rounding. Twice: where little is left, the first time leaves as much rounding.
+    // Returns the square of what is left, zero if that is rounding. Twice: where little is left, the first time leaves as
+    // much rounding.
     double project(int p) {
         const double* row = whitened(p);
         double* sum = R_.column(held_);
