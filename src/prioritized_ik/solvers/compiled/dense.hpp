@@ -110,20 +110,25 @@ inline void add_rows(const double* factors, const double* rows, int stride, int 
     for (; j < k; j++) add(factors[j], rows + size_t(j) * stride, to, n);
 }
 
+// The products of four rows with v, n padded.
+inline Four products(const double* a, const double* b, const double* c, const double* d, const double* v, int n) {
+    Wide p = {}, q = {}, r = {}, s = {};
+    for (int j = 0; j < n; j += WIDE) {
+        const Wide x = wide(v + j);
+        p += wide(a + j) * x;
+        q += wide(b + j) * x;
+        r += wide(c + j) * x;
+        s += wide(d + j) * x;
+    }
+    return totals(p, q, r, s);
+}
+
 // out := the products of k rows, each `stride` after the other, with b; n is padded
 inline void dots(const double* rows, int stride, int k, const double* b, double* out, int n) {
     int i = 0;
     for (; i + 4 <= k; i += 4) {
-        const double *p = rows + size_t(i) * stride, *q = p + stride, *r = q + stride, *s = r + stride;
-        Wide w = {}, x = {}, y = {}, z = {};
-        for (int j = 0; j < n; j += WIDE) {
-            const Wide by = wide(b + j);
-            w += wide(p + j) * by;
-            x += wide(q + j) * by;
-            y += wide(r + j) * by;
-            z += wide(s + j) * by;
-        }
-        four(out + i) = totals(w, x, y, z);
+        const double* p = rows + size_t(i) * stride;
+        four(out + i) = products(p, p + stride, p + 2 * stride, p + 3 * stride, b, n);
     }
     for (; i < k; i++) out[i] = dot(rows + size_t(i) * stride, b, n);
 }
@@ -231,18 +236,10 @@ inline void reflect_all(double* const* rows, int count, int from, const double* 
     for (; i + 4 <= count; i += 4) {
         double *a = rows[i] + from, *b = rows[i + 1] + from, *c = rows[i + 2] + from, *d = rows[i + 3] + from;
         double *e = rows[i] + head, *f = rows[i + 1] + head, *g = rows[i + 2] + head, *h = rows[i + 3] + head;
-        Wide p = {}, q = {}, r = {}, s = {};
-        for (int j = 0; j < n; j += WIDE) {
-            const Wide x = wide(v + j);
-            p += wide(a + j) * x;
-            q += wide(b + j) * x;
-            r += wide(c + j) * x;
-            s += wide(d + j) * x;
-        }
-        Four sums = totals(p, q, r, s);
+        Four sums = products(a, b, c, d, v, n);
         if (HEAD) sums += Four{*e, *f, *g, *h};
         const Four factors = sums * -tau;
-        p = wide_of(factors[0]), q = wide_of(factors[1]), r = wide_of(factors[2]), s = wide_of(factors[3]);
+        const Wide p = wide_of(factors[0]), q = wide_of(factors[1]), r = wide_of(factors[2]), s = wide_of(factors[3]);
         for (int j = 0; j < n; j += WIDE) {
             const Wide x = wide(v + j);
             wide(a + j) += p * x;
